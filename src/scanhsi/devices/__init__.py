@@ -1,0 +1,51 @@
+"""Contracts of the devices: what a driver promises and what the engine may rely on. One file a role."""
+
+from scanhsi.devices.actuator import Actuator, ActuatorInfo, Motion
+from scanhsi.devices.camera import Camera, CameraInfo, CameraSettings, Exposure, Roi, Trigger, check_settings
+from scanhsi.devices.capabilities import (
+    FreeRunning,
+    HardwareTriggered,
+    OverlapsReadout,
+    Sweep,
+    Sweeps,
+    capabilities_of,
+    require,
+)
+from scanhsi.devices.frames import Frame, FrameChannel, FrameEvent, FrameGap, FrameStream, Pixels
+from scanhsi.devices.pixels import PixelFormat, unpack
+from scanhsi.devices.registry import Backend, Found, Role, find, installed
+from scanhsi.devices.values import Range
+
+__all__ = [
+    "Actuator",
+    "ActuatorInfo",
+    "Backend",
+    "Camera",
+    "CameraInfo",
+    "CameraSettings",
+    "Exposure",
+    "Found",
+    "Frame",
+    "FrameChannel",
+    "FrameEvent",
+    "FrameGap",
+    "FrameStream",
+    "FreeRunning",
+    "HardwareTriggered",
+    "Motion",
+    "OverlapsReadout",
+    "PixelFormat",
+    "Pixels",
+    "Range",
+    "Roi",
+    "Role",
+    "Sweep",
+    "Sweeps",
+    "Trigger",
+    "capabilities_of",
+    "check_settings",
+    "find",
+    "installed",
+    "require",
+    "unpack",
+]

@@ -1,0 +1,126 @@
+"""Optional abilities of devices. A driver has one by having its methods: there is no flag to get wrong.
+
+A plan that needs an ability the device lacks is refused before anything moves, with the name of the ability (`require`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, TypeVar, runtime_checkable
+
+from scanhsi.devices.actuator import Motion
+from scanhsi.devices.errors import UnsupportedFeature
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """A constant-velocity motion through ``count`` evenly spaced positions.
+
+    Attributes:
+        first: Step of the first line.
+        every: Steps between lines; negative sweeps downwards, never 0.
+        count: Number of lines.
+        rate_steps_s: Speed while lines are taken, > 0. The run-up before ``first`` and the run-out behind the last line are the
+            driver's business, and have to fit into the limits.
+        pulses: Give a trigger pulse exactly at each of the ``count`` positions.
+    """
+
+    first: int
+    every: int
+    count: int
+    rate_steps_s: float
+    pulses: bool = False
+
+    @property
+    def last(self) -> int:
+        """Step of the last line."""
+        return self.first + self.every * (self.count - 1)
+
+
+@runtime_checkable
+class Sweeps(Protocol):
+    """An actuator that moves at constant velocity, with position triggers where asked and possible."""
+
+    def check_sweep(self, sweep: Sweep) -> None:
+        """Refuse a sweep that cannot be done, before anything moves.
+
+        Raises:
+            OutOfRange: Limits or speed.
+            UnsupportedFeature: Pulses are asked for and there is no trigger output.
+        """
+        ...
+
+    async def prepare_sweep(self, sweep: Sweep) -> Motion:
+        """Move to the start of the run-up. The camera is armed after this and before `sweep`."""
+        ...
+
+    async def sweep(self, sweep: Sweep) -> Motion:
+        """Run the prepared sweep; return when the mirror stands again behind the last line.
+
+        ``Motion.commanded_ns`` is the time at which the motion *passed ``first``* where the driver knows it, else when it was
+        commanded; ``Motion.pulses`` counts the pulses given.
+        """
+        ...
+
+
+@runtime_checkable
+class HardwareTriggered(Protocol):
+    """A camera whose exposures can be started by a pulse (``arm(Trigger.LINE)``)."""
+
+    def shortest_trigger_period_s(self) -> float:
+        """Shortest time between two pulses at the present settings so that none is lost."""
+        ...
+
+
+@runtime_checkable
+class FreeRunning(Protocol):
+    """A camera that exposes on its own clock (``arm(Trigger.FREE_RUN)``)."""
+
+    async def set_frame_period(self, period_s: float) -> float:
+        """Set the time between exposures; return it as applied. Before ``arm``.
+
+        Raises:
+            OutOfRange: Shorter than exposure and read-out allow.
+        """
+        ...
+
+
+@runtime_checkable
+class OverlapsReadout(Protocol):
+    """A camera that exposes the next frame while it reads out the last one."""
+
+    def dead_time_s(self) -> float:
+        """Time between the end of one exposure and the earliest start of the next."""
+        ...
+
+
+CAPABILITIES: tuple[type, ...] = (Sweeps, HardwareTriggered, FreeRunning, OverlapsReadout)
+
+_C = TypeVar("_C")
+
+
+def capabilities_of(device: object | type) -> tuple[str, ...]:
+    """Names of the optional abilities that a device, or the class of one, has."""
+    kind = device if isinstance(device, type) else type(device)
+    return tuple(protocol.__name__ for protocol in CAPABILITIES if issubclass(kind, protocol))
+
+
+def require(device: object, ability: type[_C], why: str, *, name: str) -> _C:
+    """Return ``device`` as one that has ``ability``.
+
+    Args:
+        device: A camera or an actuator.
+        ability: One of `CAPABILITIES`.
+        why: What needs it (``"mode 'continuous'"``).
+        name: How messages call the device.
+
+    Raises:
+        UnsupportedFeature: It has not; nothing was done.
+    """
+    if not isinstance(device, ability):
+        has = ", ".join(capabilities_of(device)) or "none"
+        raise UnsupportedFeature(
+            f"{why} needs the ability {ability.__name__}, which this driver lacks (it has: {has}).",
+            device=name,
+        )
+    return device
