@@ -1,0 +1,86 @@
+"""What a scan tells while it runs and when it has ended."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """A snapshot of a running scan.
+
+    Attributes:
+        lines: Planned lines.
+        taken: Lines whose pixels have been received and unpacked.
+        stored: Lines that are safe on disk (0 when discarding).
+        missing: Lines that are lost, each with its reason in the report.
+        elapsed_s: Since the first trigger, loop clock.
+        lines_per_second: Over the lines so far.
+        efficiency: Exposure time / line period so far.
+        remaining_s: Estimated time left.
+    """
+
+    lines: int
+    taken: int
+    stored: int
+    missing: int
+    elapsed_s: float
+    lines_per_second: float
+    efficiency: float
+    remaining_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """Duration of one stage over all lines, in s."""
+
+    mean_s: float
+    p50_s: float
+    p99_s: float
+    max_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReport:
+    """What a finished scan was.
+
+    Attributes:
+        mode: ``sequential``, ``stepped`` or ``continuous``.
+        lines: Planned lines.
+        stored: Lines safe on disk; 0 when discarding.
+        missing: Lines lost.
+        missing_reasons: line -> reason.
+        exposure_s: Exposure time of a line.
+        duration_s: First trigger to last line stored (or discarded), loop clock.
+        period_s: Mean line period, from the exposure starts.
+        lines_per_second: 1 / period.
+        efficiency: T_exp / T_line (Eq. 3).
+        bound_s: Shortest period that the same delays allow in this mode; None where they are not known.
+        regret: period / bound; None without one.
+        stages: Stage name -> its time per line.
+        output: Path of the cube; None when discarded.
+        simulated: Whether any device was simulated.
+        stopped_early: The scan was asked to stop before its last line.
+    """
+
+    mode: str
+    lines: int
+    stored: int
+    missing: int
+    exposure_s: float
+    duration_s: float
+    period_s: float
+    lines_per_second: float
+    efficiency: float
+    bound_s: float | None
+    regret: float | None
+    output: str | None
+    simulated: bool
+    stopped_early: bool = False
+    missing_reasons: dict[int, str] = field(default_factory=dict[int, str])
+    stages: dict[str, StageTime] = field(default_factory=dict[str, StageTime])
+
+    def to_json(self) -> dict[str, Any]:
+        """The report as plain JSON types."""
+        return asdict(self)
