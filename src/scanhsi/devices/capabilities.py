@@ -41,11 +41,13 @@ class Sweep:
 class Sweeps(Protocol):
     """An actuator that moves at constant velocity, with position triggers where asked and possible."""
 
-    def check_sweep(self, sweep: Sweep) -> None:
-        """Refuse a sweep that cannot be done, before anything moves.
+    def check_sweep(self, sweep: Sweep) -> Sweep:
+        """Refuse a sweep that cannot be done, before anything moves; return it as it will be run.
+
+        A controller that knows only whole steps per second rounds the rate *down*, so that no line comes sooner than asked.
 
         Raises:
-            OutOfRange: Limits or speed.
+            OutOfRange: Limits (run-up and run-out included) or speed.
             UnsupportedFeature: Pulses are asked for and there is no trigger output.
         """
         ...

@@ -35,6 +35,8 @@ class Frame:
         received_ns: When the last byte was in memory, loop clock.
         device_ns: The camera's own time stamp, its own epoch; None without one.
         first_byte_ns: When the first byte arrived, loop clock; None where unknown.
+        exposure_start_ns: Start of exposure, loop clock, where the driver can tell. The engine needs it only for exposures
+            that it did not trigger itself (hardware trigger, free run).
     """
 
     index: int
@@ -45,6 +47,7 @@ class Frame:
     received_ns: int
     device_ns: int | None = None
     first_byte_ns: int | None = None
+    exposure_start_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
