@@ -1,0 +1,1 @@
+"""The instrument: what a person configures, and the open devices it composes."""
