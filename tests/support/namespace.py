@@ -1,0 +1,155 @@
+"""pytest plugin: tests marked `twin` run in a private network namespace, in a child pytest.
+
+Mark a test (or a module: ``pytestmark = pytest.mark.twin``) and write it as any other: use Aravis in the test's own
+process, fixtures and parameters included. The first marked test starts one child pytest inside the namespace for all
+marked tests of this run; each test's own report comes back and is shown as if it had run here.
+
+To debug one with --pdb or prints, start pytest itself inside: ``python -m scanhsi_sim.twins.netns python -m pytest ...``.
+What is missing (Aravis, permission) skips the tests; where the variable CI is set it fails them.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from typing import IO, Any
+
+import pytest
+
+from scanhsi_sim.twins import netns
+
+REQUIREMENTS = "sudo apt install python3-gi gir1.2-aravis-0.8 libsimavr-dev libelf-dev gcc"
+_FD = "SCANHSI_TEST_REPORTS_FD"  # set in the child: where it writes its reports, one JSON object a line
+
+
+class _Child:
+    """The pytest inside the namespace, and the stream of its reports."""
+
+    def __init__(self, config: pytest.Config, nodes: list[str]) -> None:
+        read_end, write_end = os.pipe()
+        self.output: IO[str] = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed with the session)
+        self.process = subprocess.Popen(
+            [*netns.prefix(), sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--capture=fd", *nodes],
+            cwd=config.rootpath,
+            env={**os.environ, _FD: str(write_end)},
+            pass_fds=[write_end],
+            stdin=subprocess.DEVNULL,
+            stdout=self.output,
+            stderr=subprocess.STDOUT,
+        )
+        os.close(write_end)
+        self._reports = os.fdopen(read_end)
+
+    def reports(self, node: str) -> Iterator[dict[str, Any]]:
+        """The serialized reports of one test, as they come; ends early when the child does."""
+        for line in self._reports:
+            data = json.loads(line)
+            if data["nodeid"] != node:
+                continue
+            if isinstance(data["longrepr"], list):  # a skip's place and reason: JSON knows no tuples
+                data["longrepr"] = tuple(data["longrepr"])
+            yield data
+            if data["when"] == "teardown":
+                return
+
+    def last_words(self) -> str:
+        """What the child printed, for when it ended before its tests did."""
+        code = self.process.wait(timeout=10)
+        self.output.seek(0)
+        return f"the pytest in the private network ended with code {code}:\n{self.output.read()[-4000:]}"
+
+    def close(self) -> None:
+        """End the child, and free what it held."""
+        self.process.terminate()
+        self.process.wait(timeout=10)
+        self._reports.close()
+        self.output.close()
+
+
+_child = pytest.StashKey[_Child]()
+
+
+def _is_twin(item: pytest.Item) -> bool:
+    return item.get_closest_marker("twin") is not None
+
+
+def _runs_elsewhere(item: pytest.Item) -> bool:
+    return _is_twin(item) and not netns.in_private_network()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave the time limit of what runs elsewhere to the child, which knows when a test begins."""
+    for item in filter(_runs_elsewhere, items):
+        item.add_marker(pytest.mark.timeout(0))
+
+
+def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
+    """Run a marked test in the child; anything else as always."""
+    if not _runs_elsewhere(item):
+        return None
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for report in _reports_from_child(item):
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+def _reports_from_child(item: pytest.Item) -> Iterator[pytest.TestReport]:
+    config = item.config
+    if _child not in config.stash:
+        config.stash[_child] = _Child(config, [i.nodeid for i in item.session.items if _runs_elsewhere(i)])
+    finished = False
+    for data in config.stash[_child].reports(item.nodeid):
+        yield config.hook.pytest_report_from_serializable(config=config, data=data)
+        finished = data["when"] == "teardown"
+    if not finished:
+        text = config.stash[_child].last_words()
+        location = (str(item.path), 0, text)
+        outcome, why = ("failed", text) if "CI" in os.environ or "code 77" not in text else ("skipped", location)
+        yield pytest.TestReport(item.nodeid, item.location, {}, outcome, why, "setup")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Name what is missing before a marked test trips over it."""
+    missing = _is_twin(item) and _missing()
+    if missing:
+        (pytest.fail if "CI" in os.environ else pytest.skip)(f"{missing}: {REQUIREMENTS}")
+
+
+@cache
+def _missing() -> str:
+    try:
+        import gi
+
+        gi.require_version("Aravis", "0.8")
+    except (ImportError, ValueError) as error:
+        return str(error)
+    return "" if shutil.which("gcc") else "no gcc"
+
+
+class _Reporter:
+    """In the child: hands each report to the pytest outside."""
+
+    def __init__(self, config: pytest.Config, fd: int) -> None:
+        self.config, self.fd = config, fd
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        data = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
+        os.write(self.fd, json.dumps(data).encode() + b"\n")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Report to the pytest outside, if this is the child."""
+    fd = os.environ.pop(_FD, None)
+    if fd is not None:
+        config.pluginmanager.register(_Reporter(config, int(fd)))
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End the child, also when pytest stopped early."""
+    if _child in config.stash:
+        config.stash[_child].close()
