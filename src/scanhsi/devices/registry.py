@@ -56,6 +56,7 @@ class Backend(Generic[D]):
         device: The class, from which the optional abilities are read.
         create: Makes the device from its options; opens nothing (that is ``connect``).
         missing: Returns what is missing on this computer and how to get it, or None when the driver can be used.
+        virtual_time: Whether the device runs in virtual time, too: it waits through asyncio only and talks to nothing outside.
     """
 
     summary: str
@@ -63,6 +64,7 @@ class Backend(Generic[D]):
     device: type[D]
     create: Callable[[Any], D]
     missing: Callable[[], str | None] = always_available
+    virtual_time: bool = False
 
     @property
     def capabilities(self) -> tuple[str, ...]:
