@@ -22,7 +22,8 @@ Events = list[tuple[selectors.SelectorKey, int]]
 CLOCK_LIMIT_S = 1e7
 
 _SPINS_PER_POLL = 64
-_SPINS_PER_SIGNAL_CHECK = 1024
+# Tens of ms: a thread that wants the GIL and sees it let go briefly more often than every 5 ms may never get it.
+_SPINS_PER_SIGNAL_CHECK = 1 << 16
 
 
 class VirtualDeadlock(RuntimeError):
