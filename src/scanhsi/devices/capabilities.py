@@ -52,6 +52,10 @@ class Sweeps(Protocol):
         """
         ...
 
+    def run_up_s(self, sweep: Sweep) -> float:
+        """Time from the call of `sweep` to the moment the mirror passes ``first``, as well as the driver can tell."""
+        ...
+
     async def prepare_sweep(self, sweep: Sweep) -> Motion:
         """Move to the start of the run-up. The camera is armed after this and before `sweep`."""
         ...

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from scanhsi.timing.observed import StageTime
+
 
 @dataclass(frozen=True, slots=True)
 class Progress:
@@ -29,16 +31,6 @@ class Progress:
     lines_per_second: float
     efficiency: float
     remaining_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class StageTime:
-    """Duration of one stage over all lines, in s."""
-
-    mean_s: float
-    p50_s: float
-    p99_s: float
-    max_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from scanhsi.devices.errors import ConfigError
 from scanhsi.timing.distributions import AnyDistribution, Constant, sample_ns
 
 Stream = Literal[
@@ -34,10 +35,6 @@ Stream = Literal[
 
 _BLOCK = 1024
 _KEPT_BLOCKS = 4  # bounds the memory of a live view that never ends
-
-
-class ProfileError(ValueError):
-    """A delay profile that cannot be used: the message names the file, the key and what is wrong with it."""
 
 
 class StreamModel(BaseModel):
@@ -73,14 +70,14 @@ class DelayProfile(BaseModel):
         """Distribution of a stream, None if the profile has none (no delay).
 
         Raises:
-            ProfileError: the stream depends on the pixel format and has none for this one.
+            ConfigError: the stream depends on the pixel format and has none for this one.
         """
         model = self.streams.get(stream)
         if model is None or model.delay is not None:
             return model.delay if model else None
         if pixel_format not in model.by_format:
             known = ", ".join(model.by_format)
-            raise ProfileError(f"profile {self.name}: {stream} has no delay for {pixel_format} (it has {known})")
+            raise ConfigError(f"profile {self.name}: {stream} has no delay for {pixel_format}; it has {known}.")
         return model.by_format[pixel_format]
 
     def per_step_s(self, stream: Stream) -> float:
@@ -98,15 +95,15 @@ def load_profile(path: Path) -> DelayProfile:
     """Read a delay profile from a JSON file.
 
     Raises:
-        ProfileError: no such file, not JSON, or a key that is missing, unknown or out of range.
+        ConfigError: no such file, not JSON, or a key that is missing, unknown or out of range.
     """
     try:
         return DelayProfile.model_validate_json(path.read_bytes())
     except OSError as error:
-        raise ProfileError(f"{path}: cannot read the delay profile: {error.strerror or error}") from error
+        raise ConfigError(f"{path}: cannot read the delay profile: {error.strerror or error}") from error
     except ValidationError as error:
         problems = [f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors()]
-        raise ProfileError(f"{path}: not a delay profile: {'; '.join(problems)}") from error
+        raise ConfigError(f"{path} is not a delay profile:", problems) from error
 
 
 class DelayStreams:

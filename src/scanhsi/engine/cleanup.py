@@ -1,0 +1,72 @@
+"""Leaving a scan: every cleanup step runs, whatever the others do and however often the scan is cancelled meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from scanhsi.devices.errors import DeviceTimeout, ScanhsiError
+
+
+@dataclass(frozen=True, slots=True)
+class CleanupStep:
+    """One thing to do on the way out.
+
+    Attributes:
+        what: For the error (``"stop the mirror"``).
+        action: Does it.
+        limit_s: How long it may take.
+        after: Waits until the steps before it are done; else it runs beside them.
+    """
+
+    what: str
+    action: Callable[[], Awaitable[None]]
+    limit_s: float
+    after: bool = False
+
+
+async def clean_up(steps: list[CleanupStep]) -> list[Exception]:
+    """Run all steps to their end, in a task of their own that no cancellation reaches; return what failed.
+
+    A cancellation that comes meanwhile is raised when all are done: it is detected by the wait being cancelled, never by the state
+    of the cleanup, so one that races the end of it is not swallowed either.
+    """
+    task = asyncio.ensure_future(_run_all(steps))
+    cancelled: asyncio.CancelledError | None = None
+    while not task.done():
+        try:
+            await asyncio.wait([task])
+        except asyncio.CancelledError as error:
+            cancelled = error
+    if cancelled is not None:
+        raise cancelled
+    return task.result()
+
+
+async def _run_all(steps: list[CleanupStep]) -> list[Exception]:
+    failures: list[Exception] = []
+    running: list[asyncio.Task[Exception | None]] = []
+    for step in steps:
+        if step.after:
+            failures += await _results(running)
+            running = []
+        running.append(asyncio.ensure_future(_run_one(step)))
+    return failures + await _results(running)
+
+
+async def _results(running: list[asyncio.Task[Exception | None]]) -> list[Exception]:
+    return [failure for task in running if (failure := await task) is not None]
+
+
+async def _run_one(step: CleanupStep) -> Exception | None:
+    try:
+        async with asyncio.timeout(step.limit_s):
+            await step.action()
+    except TimeoutError:
+        return DeviceTimeout("it did not end.", operation=step.what, waited_s=step.limit_s)
+    except Exception as error:
+        if isinstance(error, ScanhsiError) and error.operation is None:
+            error.operation = step.what
+        return error
+    return None

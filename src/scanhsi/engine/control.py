@@ -1,0 +1,120 @@
+"""Control: move the mirror and expose. One function a mode, over the same devices.
+
+In the step modes the mirror is told to move only after ``Camera.expose`` has returned, which is the end of the exposure: that
+sequence is the interlock which keeps the mirror still from trigger to end of exposure.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+
+from scanhsi.devices import Actuator, Motion, Sweep, Sweeps, require
+from scanhsi.devices.errors import MotionFailed, ProtocolError
+from scanhsi.engine.deadlines import Deadline
+from scanhsi.engine.plan import Mode
+from scanhsi.engine.scan import Scan
+
+
+async def step_and_expose(scan: Scan) -> None:
+    """Sequential and stepped scans: for each line move, take a credit, expose.
+
+    The mirror stands at line 0 already. A stepped scan moves on as soon as the exposure has ended; a sequential one waits until
+    the line has been handed over to storage.
+    """
+    sequential = scan.course.mode is Mode.SEQUENTIAL
+    for line in range(scan.course.lines):
+        if line:
+            if sequential:
+                await _turn(scan, line)
+            if scan.stop.is_set():
+                break
+            await _move(scan, line)
+        else:
+            scan.records.mirror_step[0] = scan.actuator.position
+        await _credit(scan, line)
+        await _expose(scan, line)
+        scan.exposed.put_nowait(line)
+    scan.exposed.put_nowait(None)
+
+
+async def _move(scan: Scan, line: int) -> None:
+    step = int(scan.course.steps[line])
+    async with Deadline(scan.deadlines.move_s, f"move_to {step}", device=scan.actuator.info.name, line=line):
+        motion = await scan.actuator.move_to(step)
+    if motion.step != step:
+        raise MotionFailed(
+            f"the mirror stands at step {motion.step}, not at {step}.", device=scan.actuator.info.name, line=line
+        )
+    stamps = scan.records.stamps
+    stamps["commanded"][line] = motion.commanded_ns
+    stamps["moved"][line] = motion.moved_ns
+    scan.records.mirror_step[line] = motion.step
+
+
+async def _expose(scan: Scan, line: int) -> None:
+    async with Deadline(scan.deadlines.expose_s, "expose", device=scan.camera.info.name, line=line):
+        exposure = await scan.camera.expose()
+    if exposure.index != line:
+        raise ProtocolError(
+            f"the camera counts this exposure as {exposure.index}.", device=scan.camera.info.name, line=line
+        )
+    stamps = scan.records.stamps
+    stamps["trigger"][line] = exposure.trigger_ns
+    stamps["exposure_start"][line] = exposure.start_ns
+    stamps["exposure_end"][line] = exposure.end_ns
+    if not line:
+        scan.begun_ns = exposure.trigger_ns
+
+
+async def _credit(scan: Scan, line: int) -> None:
+    """Wait for a free line buffer: the trigger waits for it, so that a slow writer costs time and never a line."""
+    if not scan.credits.has(line):
+        async with Deadline(scan.deadlines.store_s, "wait for a line buffer", device="storage", line=line):
+            await scan.credits.wait(line)
+
+
+async def _turn(scan: Scan, line: int) -> None:
+    limit_s = scan.deadlines.frame_s + scan.deadlines.store_s
+    async with Deadline(limit_s, "wait for the last line to be handed over", device="storage", line=line):
+        await scan.handed_over.acquire()
+
+
+async def sweep_past(scan: Scan, sweep: Sweep) -> None:
+    """Continuous scans: run the prepared sweep; the frames come as the mirror passes, or as the camera's clock beats.
+
+    A stop request ends the motion; the lines that were passed by then are kept.
+    """
+    device = scan.actuator.info.name
+    limit_s = scan.deadlines.first_move_s + 2 * abs(sweep.last - sweep.first) / sweep.rate_steps_s
+    async with Deadline(limit_s, "sweep", device=device):
+        motion = await _unless_stopped(scan, as_sweeping(scan.actuator).sweep(sweep))
+    if motion is None:
+        await scan.actuator.stop()
+        await asyncio.sleep(scan.settling_s)
+        await scan.camera.disarm()  # which ends the frames
+    elif sweep.pulses and motion.pulses != sweep.count:
+        raise MotionFailed(f"{motion.pulses} trigger pulses were given on the way, not {sweep.count}.", device=device)
+    scan.motion_over.set()
+
+
+def as_sweeping(actuator: Actuator) -> Sweeps:
+    """The actuator as one that sweeps.
+
+    Raises:
+        UnsupportedFeature: It cannot.
+    """
+    return require(actuator, Sweeps, "mode 'continuous'", name=actuator.info.name)
+
+
+async def _unless_stopped(scan: Scan, motion: Coroutine[None, None, Motion]) -> Motion | None:
+    """Run a motion to its end, or cancel it when the scan is asked to stop; None then."""
+    moving = asyncio.ensure_future(motion)
+    stopped = asyncio.ensure_future(scan.stop.wait())
+    try:
+        await asyncio.wait([moving, stopped], return_when=asyncio.FIRST_COMPLETED)
+        return moving.result() if moving.done() else None
+    finally:
+        moving.cancel()
+        stopped.cancel()
+        await asyncio.gather(moving, stopped, return_exceptions=True)

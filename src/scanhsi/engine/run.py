@@ -1,0 +1,233 @@
+"""Run a scan: check everything, prepare, run the three tasks, leave everything safe, report.
+
+::
+
+    control ──exposed──> receive ──filled──> write
+       ^                                       │
+       └───────────── credits ─────────────────┘
+
+*Control* moves the mirror and exposes, *receive* takes the frames, *write* hands lines to storage. Credits, the window of lines
+that may be in memory, gate the trigger. The tasks live in one `asyncio.TaskGroup`: when one fails or is cancelled, all end, and
+the cleanup runs whatever happened.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from functools import partial
+from typing import cast
+
+import structlog
+
+from scanhsi.clock import now_ns
+from scanhsi.cube.records import LineRecords
+from scanhsi.cube.sink import LineSink
+from scanhsi.devices import Actuator, Camera, FreeRunning, HardwareTriggered, Sweep, Trigger, check_settings, require
+from scanhsi.devices.errors import DeviceTimeout, ScanFailed, ScanhsiError
+from scanhsi.engine.cleanup import CleanupStep, clean_up
+from scanhsi.engine.control import as_sweeping, step_and_expose, sweep_past
+from scanhsi.engine.deadlines import HOME_S, STORE_S, Deadline, deadlines
+from scanhsi.engine.plan import Course, Mode
+from scanhsi.engine.receive import receive_exposed, write_lines
+from scanhsi.engine.report import Progress, ScanReport
+from scanhsi.engine.scan import Credits, Scan
+from scanhsi.engine.summary import report
+from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
+
+CAMERA_BUFFERS = 16
+STOP_S = 10.0
+
+_log = structlog.get_logger(__name__)
+
+
+async def run_scan(
+    course: Course,
+    camera: Camera,
+    actuator: Actuator,
+    sink: LineSink,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+    stop: asyncio.Event | None = None,
+) -> ScanReport:
+    """Scan, on connected devices.
+
+    What is not allowed is refused before anything moves, with its own error. From the first motion on, whatever goes wrong is a
+    `ScanFailed`; however the scan ends, the mirror is told to stop, the camera is disarmed and the sink closed.
+
+    Args:
+        course: What to take.
+        camera: Connected.
+        actuator: Connected.
+        sink: Where lines go; not opened yet.
+        on_progress: Called at most four times a second, in the event loop.
+        stop: Set it to finish the line under way and close; the report then says ``stopped_early``.
+
+    Raises:
+        OutOfRange, UnsupportedFeature, CubeExists, CubeError: Refused; nothing moved, nothing was overwritten.
+        ScanFailed: It began and did not end well.
+    """
+    course = check(course, camera, actuator)
+    scan = Scan(
+        course=course,
+        camera=camera,
+        actuator=actuator,
+        sink=sink,
+        records=LineRecords(course.lines),
+        deadlines=deadlines(camera.info, actuator.info, course.settings.exposure_s, course.stride),
+        credits=Credits(sink.capacity),
+        stop=stop or asyncio.Event(),
+        on_progress=on_progress,
+    )
+    scan.records.mirror_angle_rad[:] = course.angles_rad
+    acquire = await _configure(scan)
+    await _open_sink(scan)
+    failures = await _to_the_end(scan, acquire)
+    if failures:
+        _log.error("scan failed", causes=[str(cause) for cause in failures], stored=scan.records.stored)
+        stored = scan.records.stored
+        raise ScanFailed(failures, stored=stored, lines=course.lines, output=sink.output) from failures[0]
+    return report(scan, now_ns())
+
+
+async def _open_sink(scan: Scan) -> None:
+    try:
+        await scan.sink.open(scan.records)
+    except BaseException:
+        await clean_up([_close_sink(scan)])
+        raise
+
+
+async def _to_the_end(scan: Scan, acquire: Callable[[], Awaitable[None]]) -> list[BaseException]:
+    """Acquire and clean up; return what went wrong, first cause first. A requested cancellation always comes through."""
+    task = asyncio.current_task()
+    assert task is not None
+    requested = task.cancelling()
+    failures: list[BaseException] = []
+    try:
+        await acquire()
+    except Exception as error:
+        failures += _leaves(error)
+    finally:
+        failures += await clean_up(_way_out(scan))
+    if task.cancelling() > requested:  # a task group that fails while it is being cancelled tells the failure only
+        raise asyncio.CancelledError
+    return failures
+
+
+def check(course: Course, camera: Camera, actuator: Actuator) -> Course:
+    """Refuse what the devices cannot do, before anything moves; return the course with the settings filled in.
+
+    Raises:
+        OutOfRange: A camera setting or a mirror position.
+        UnsupportedFeature: The mode needs an ability that a device lacks.
+    """
+    settings = check_settings(camera.info, course.settings)
+    for place, step in (("first", course.steps[0]), ("last", course.steps[-1])):
+        actuator.info.limits.check(f"step of the {place} line", int(step), device=actuator.info.name)
+    if course.mode is Mode.CONTINUOUS:
+        as_sweeping(actuator)
+        if _sweep_trigger(camera) is Trigger.FREE_RUN:
+            require(camera, FreeRunning, "mode 'continuous'", name=camera.info.name)
+    return replace(course, settings=settings)
+
+
+async def _configure(scan: Scan) -> Callable[[], Awaitable[None]]:
+    """Apply the settings and settle what can still be refused; return what does the rest. Nothing moves."""
+    async with Deadline(scan.deadlines.expose_s, "configure", device=scan.camera.info.name):
+        applied = await scan.camera.configure(scan.course.settings)
+        scan.course = replace(scan.course, settings=applied)
+        if scan.course.mode is not Mode.CONTINUOUS:
+            return partial(_acquire_stepping, scan)
+        trigger = _sweep_trigger(scan.camera)
+        period_s = await _line_period_s(scan, trigger)
+    sweep = as_sweeping(scan.actuator).check_sweep(
+        Sweep(
+            first=int(scan.course.steps[0]),
+            every=scan.course.stride,
+            count=scan.course.lines,
+            rate_steps_s=abs(scan.course.stride) / period_s,
+            pulses=trigger is Trigger.LINE,
+        )
+    )
+    return partial(_acquire_sweeping, scan, sweep, trigger)
+
+
+async def _home(scan: Scan) -> None:
+    if not scan.actuator.homed:
+        async with Deadline(HOME_S, "home", device=scan.actuator.info.name):
+            await scan.actuator.home()
+
+
+async def _acquire_stepping(scan: Scan) -> None:
+    await _home(scan)
+    first = int(scan.course.steps[0])
+    async with Deadline(scan.deadlines.first_move_s, f"move_to {first}", device=scan.actuator.info.name, line=0):
+        await scan.actuator.move_to(first)
+    await _arm(scan, Trigger.SOFTWARE)
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(step_and_expose(scan), name="control")
+        tasks.create_task(receive_exposed(scan), name="receive")
+        tasks.create_task(write_lines(scan), name="write")
+
+
+async def _acquire_sweeping(scan: Scan, sweep: Sweep, trigger: Trigger) -> None:
+    await _home(scan)
+    actuator = as_sweeping(scan.actuator)
+    async with Deadline(scan.deadlines.first_move_s, "prepare_sweep", device=scan.actuator.info.name):
+        await actuator.prepare_sweep(sweep)
+    await _arm(scan, trigger)
+    places = Places(abs(sweep.every) / sweep.rate_steps_s, trigger, passing_ns(actuator.run_up_s(sweep)))
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(sweep_past(scan, sweep), name="control")
+        tasks.create_task(receive_sweep(scan, sweep, places), name="receive")
+        tasks.create_task(write_lines(scan), name="write")
+
+
+async def _line_period_s(scan: Scan, trigger: Trigger) -> float:
+    """The period asked for, or the shortest at which the camera loses nothing."""
+    camera = scan.camera
+    if trigger is Trigger.FREE_RUN:
+        running = require(camera, FreeRunning, "mode 'continuous'", name=camera.info.name)
+        shortest_s = max(scan.course.settings.exposure_s, camera.info.readout_s)
+        return await running.set_frame_period(scan.course.period_s or shortest_s)
+    triggered = require(camera, HardwareTriggered, "mode 'continuous'", name=camera.info.name)
+    shortest_s = triggered.shortest_trigger_period_s()
+    period_s = scan.course.period_s or shortest_s
+    if period_s < shortest_s:
+        _log.warning("period below the camera's shortest: lines will be lost", period_s=period_s, shortest_s=shortest_s)
+    return period_s
+
+
+def _sweep_trigger(camera: Camera) -> Trigger:
+    """Position triggers where the camera takes them, its own clock else."""
+    hardware = Trigger.LINE in camera.info.triggers and isinstance(camera, HardwareTriggered)
+    return Trigger.LINE if hardware else Trigger.FREE_RUN
+
+
+async def _arm(scan: Scan, trigger: Trigger) -> None:
+    async with Deadline(scan.deadlines.expose_s, "arm", device=scan.camera.info.name):
+        await scan.camera.arm(trigger, CAMERA_BUFFERS)
+
+
+def _way_out(scan: Scan) -> list[CleanupStep]:
+    """Mirror and camera at once, then storage, which needs neither."""
+    return [
+        CleanupStep("stop the mirror", scan.actuator.stop, STOP_S),
+        CleanupStep("disarm the camera", scan.camera.disarm, STOP_S),
+        _close_sink(scan),
+    ]
+
+
+def _close_sink(scan: Scan) -> CleanupStep:
+    return CleanupStep("close the cube", scan.sink.close, STORE_S, after=True)
+
+
+def _leaves(error: BaseException) -> list[BaseException]:
+    """The exceptions of a group, scanhsi's own first, for they say most, and deadlines behind what made others wait."""
+    if not isinstance(error, BaseExceptionGroup):
+        return [error]
+    group = cast(BaseExceptionGroup[BaseException], error)
+    leaves = [leaf for part in group.exceptions for leaf in _leaves(part)]
+    return sorted(leaves, key=lambda leaf: (not isinstance(leaf, ScanhsiError), isinstance(leaf, DeviceTimeout)))

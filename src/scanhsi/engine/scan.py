@@ -1,0 +1,113 @@
+"""The state that the tasks of one scan share."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from scanhsi.clock import now_ns
+from scanhsi.cube.records import LineRecords
+from scanhsi.cube.sink import LineSink
+from scanhsi.devices import Actuator, Camera
+from scanhsi.engine.deadlines import Deadlines
+from scanhsi.engine.plan import Course
+from scanhsi.engine.report import Progress
+
+PROGRESS_INTERVAL_NS = 250_000_000
+
+
+class Credits:
+    """The window of lines that may be in memory: ``safe <= line < safe + capacity``.
+
+    Lines become safe in order, so one number is the whole state. One waiter: control.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self.safe = 0
+        self._advanced = asyncio.Event()
+
+    def has(self, line: int) -> bool:
+        """Whether there is a buffer for ``line`` now."""
+        return line < self.safe + self.capacity
+
+    async def wait(self, line: int) -> None:
+        """Wait until there is one."""
+        while not self.has(line):
+            self._advanced.clear()
+            await self._advanced.wait()
+
+    def advance(self, lines: range) -> None:
+        """These lines are safe: their buffers are free again."""
+        if len(lines):
+            self.safe = lines.stop
+            self._advanced.set()
+
+
+@dataclass(slots=True)
+class Scan:
+    """One scan under way.
+
+    Attributes:
+        course: What to take.
+        camera, actuator, sink: Where from and where to.
+        records: One entry a line.
+        deadlines: How long to wait for what.
+        credits: Which lines may be in memory. In step modes a trigger needs one, so nothing is ever dropped; in a sweep a
+            frame without one is dropped and counted.
+        stop: Set to finish the line under way and close.
+        on_progress: Told at most four times a second.
+        exposed: Lines whose exposure has ended, from control to receive; None ends it.
+        filled: Lines to be stored, from receive to write; None ends it.
+        handed_over: Released as each line has gone to storage: what a sequential scan waits for.
+        taken: Lines received so far, whole or as a gap.
+        begun_ns: First trigger, loop clock.
+        motion_over: Set when the mirror of a continuous scan stands again.
+    """
+
+    course: Course
+    camera: Camera
+    actuator: Actuator
+    sink: LineSink
+    records: LineRecords
+    deadlines: Deadlines
+    credits: Credits
+    stop: asyncio.Event
+    on_progress: Callable[[Progress], None] | None = None
+    exposed: asyncio.Queue[int | None] = field(default_factory=asyncio.Queue[int | None])
+    filled: asyncio.Queue[int | None] = field(default_factory=asyncio.Queue[int | None])
+    handed_over: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(0))
+    taken: int = 0
+    begun_ns: int = 0
+    motion_over: asyncio.Event = field(default_factory=asyncio.Event)
+    _told_ns: int = 0
+
+    @property
+    def settling_s(self) -> float:
+        """Within which the frame of the last trigger has arrived."""
+        return self.course.settings.exposure_s + 2 * self.camera.info.readout_s + 0.1
+
+    def tell(self) -> None:
+        """Report progress, if it is time to."""
+        if self.on_progress is None:
+            return
+        now = now_ns()
+        if now - self._told_ns >= PROGRESS_INTERVAL_NS or self.taken == self.course.lines:
+            self._told_ns = now
+            self.on_progress(self.progress(now))
+
+    def progress(self, now: int) -> Progress:
+        """A snapshot."""
+        elapsed_s = max(now - self.begun_ns, 1) * 1e-9
+        rate = self.taken / elapsed_s
+        return Progress(
+            lines=self.course.lines,
+            taken=self.taken,
+            stored=self.records.stored,
+            missing=len(self.records.missing),
+            elapsed_s=elapsed_s,
+            lines_per_second=rate,
+            efficiency=self.course.settings.exposure_s * rate,
+            remaining_s=(self.course.lines - self.taken) / rate if rate else float("nan"),
+        )

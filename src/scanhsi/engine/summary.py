@@ -1,0 +1,49 @@
+"""From the records of a scan to its report."""
+
+from __future__ import annotations
+
+from scanhsi.devices import OverlapsReadout
+from scanhsi.engine.report import ScanReport
+from scanhsi.engine.scan import Scan
+from scanhsi.timing.bounds import bound, mean_period_ns
+from scanhsi.timing.observed import delays_of, exposure_starts, stage_times
+
+
+def report(scan: Scan, ended_ns: int) -> ScanReport:
+    """Report a scan that has ended well.
+
+    Args:
+        scan: All of its lines are stored, discarded or missing.
+        ended_ns: When the last was, loop clock.
+    """
+    records, course, camera = scan.records, scan.course, scan.camera
+    exposure_s = course.settings.exposure_s
+    duration_s = (ended_ns - scan.begun_ns) * 1e-9
+    starts_ns = exposure_starts(records.stamps)
+    period_s = mean_period_ns(starts_ns) * 1e-9 if len(starts_ns) > 1 else duration_s
+    starts, delays = delays_of(
+        records.stamps,
+        exposure_ns=round(exposure_s * 1e9),
+        readout_ns=round(camera.info.readout_s * 1e9),
+        dead_ns=round(camera.dead_time_s() * 1e9) if isinstance(camera, OverlapsReadout) else 0,
+        overlap=isinstance(camera, OverlapsReadout),
+    )
+    reached = bound(starts, delays, course.mode) if len(starts) > 1 else None
+    return ScanReport(
+        mode=course.mode,
+        lines=course.lines,
+        stored=records.stored,
+        missing=len(records.missing),
+        exposure_s=exposure_s,
+        duration_s=duration_s,
+        period_s=period_s,
+        lines_per_second=1 / period_s,
+        efficiency=exposure_s / period_s,
+        bound_s=reached.period_s if reached else None,
+        regret=reached.regret if reached else None,
+        output=scan.sink.output,
+        simulated=camera.info.simulated or scan.actuator.info.simulated,
+        stopped_early=scan.taken < course.lines,
+        missing_reasons=dict(sorted(records.missing.items())),
+        stages=stage_times(records.stamps),
+    )

@@ -1,0 +1,112 @@
+"""From the stamps of a scan to the durations of its stages and the delays of its devices.
+
+Stamps are int64 columns in ns, one entry a line, `numpy.iinfo(int64).min` where a stamp was never taken (see
+``scanhsi.cube.records``). A stage is given by its stamps; where one is absent the stage is left out for that line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanhsi.timing.bounds import LineDelays
+
+Stamps = Mapping[str, NDArray[np.int64]]
+
+_ABSENT = np.iinfo(np.int64).min
+
+_STAGES = {
+    "move": ("commanded", "moved"),
+    "trigger": ("trigger", "exposure_start"),
+    "exposure": ("exposure_start", "exposure_end"),
+    "transfer": ("exposure_end", "received"),
+    "copy": ("received", "copied"),
+    "store": ("copied", "stored"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """Duration of one stage over all lines, in s."""
+
+    mean_s: float
+    p50_s: float
+    p99_s: float
+    max_s: float
+
+
+def stage_times(stamps: Stamps) -> dict[str, StageTime]:
+    """Time per line and stage: move, trigger, exposure, transfer, copy, store, and the whole line.
+
+    ``line`` is the distance of successive exposure starts (of frames received, where no start is known).
+    """
+    times = {stage: _elapsed(stamps[first], stamps[last]) for stage, (first, last) in _STAGES.items() if last in stamps}
+    times["line"] = np.diff(exposure_starts(stamps))
+    return {stage: _summary(values) for stage, values in times.items() if len(values)}
+
+
+def exposure_starts(stamps: Stamps) -> NDArray[np.int64]:
+    """Exposure starts of the lines that have one, in ns; arrivals where the driver could not tell any start."""
+    for stage in ("exposure_start", "received"):
+        column = stamps[stage]
+        present = column[column != _ABSENT]
+        if len(present):
+            return present
+    return np.empty(0, np.int64)
+
+
+def delays_of(
+    stamps: Stamps, *, exposure_ns: int, readout_ns: int, dead_ns: int, overlap: bool
+) -> tuple[NDArray[np.int64], LineDelays]:
+    """The device delays that a scan met, for `scanhsi.timing.bounds.bound`.
+
+    What the engine or a safety margin added is *not* a device delay: an exposure counts as ``exposure_ns`` even where its end was
+    timed with a margin, a copy from when both frame and copier were ready. A delay that was not stamped counts as 0, which keeps
+    the bound a bound.
+
+    Args:
+        stamps: Of one scan.
+        exposure_ns: Exposure time as applied.
+        readout_ns: Sensor read-out.
+        dead_ns: Dead time between overlapping exposures.
+        overlap: Whether the sensor overlaps exposure and read-out.
+
+    Returns:
+        Measured exposure starts of the lines that were exposed, int64 (n,), and the delays of those lines.
+    """
+    exposed = stamps["exposure_start"] != _ABSENT
+    column = {name: values[exposed] for name, values in stamps.items()}
+    count = int(np.count_nonzero(exposed))
+    previous = np.concatenate(([_ABSENT], column["copied"][:-1])) if count else column["copied"]
+    ready = np.maximum(column["received"], previous)
+    return column["exposure_start"], LineDelays(
+        exposure=np.full(count, exposure_ns, np.int64),
+        actuate=_delay(column["commanded"], column["moved"]),
+        trigger=_delay(column["trigger"], column["exposure_start"]),
+        transfer=_delay(column["first_byte"], column["received"]),
+        copy=_delay(ready, column["copied"]),
+        store=_delay(column["copied"], column["stored"]),
+        readout_ns=readout_ns,
+        dead_ns=dead_ns,
+        overlap=overlap,
+    )
+
+
+def _delay(first: NDArray[np.int64], last: NDArray[np.int64]) -> NDArray[np.int64]:
+    absent = (first == _ABSENT) | (last == _ABSENT)
+    return np.where(absent, 0, np.maximum(last - np.where(absent, 0, first), 0))
+
+
+def _elapsed(first: NDArray[np.int64], last: NDArray[np.int64]) -> NDArray[np.int64]:
+    both = (first != _ABSENT) & (last != _ABSENT)
+    return last[both] - first[both]
+
+
+def _summary(values: NDArray[np.int64]) -> StageTime:
+    p50, p99 = np.percentile(values, [50, 99])
+    return StageTime(
+        mean_s=float(values.mean()) * 1e-9, p50_s=p50 * 1e-9, p99_s=p99 * 1e-9, max_s=float(values.max()) * 1e-9
+    )
