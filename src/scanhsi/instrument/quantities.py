@@ -17,7 +17,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, cast
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
@@ -118,10 +118,16 @@ class Written(BaseModel):
             for name, field in cls.model_fields.items()
             if field.alias and name.removeprefix(f"{field.alias}_") in _SUFFIXES
         }
-        return {
-            key: _Bare(value) if key in needing and isinstance(value, int | float) else value
-            for key, value in data.items()  # pyright: ignore[reportUnknownVariableType] data is what anybody passed
-        }
+        table = cast("Mapping[str, Any]", data)
+        return {key: _marked(value) if key in needing else value for key, value in table.items()}
+
+
+def _marked(value: Any) -> Any:
+    if isinstance(value, int | float):
+        return _Bare(value)
+    if isinstance(value, list | tuple):
+        return [_marked(item) for item in cast("list[Any]", value)]
+    return value
 
 
 def _powers(**exponents: int) -> dict[str, Decimal]:

@@ -1,0 +1,180 @@
+"""An open instrument: both devices connected, checked against the instrument file, and closed again whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, Final
+
+from scanhsi.devices import Actuator, ActuatorInfo, Camera, CameraInfo, Range
+from scanhsi.devices.errors import ConfigError, DeviceError, DeviceTimeout
+from scanhsi.instrument.config import InstrumentConfig
+from scanhsi.log import get_logger
+
+_CONNECT_S: Final = 30.0
+_CLOSE_S: Final = 15.0
+_log = get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """The devices of one instrument, connected.
+
+    Attributes:
+        config: Its file.
+        camera, actuator: The devices, as their drivers made them.
+        camera_info, actuator_info: What they are and allow, narrowed by the file's ``[limits]``: check plans against these.
+    """
+
+    config: InstrumentConfig
+    camera: Camera
+    actuator: Actuator
+    camera_info: CameraInfo
+    actuator_info: ActuatorInfo
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any device is not a real one."""
+        return self.camera_info.simulated or self.actuator_info.simulated
+
+    @staticmethod
+    @asynccontextmanager
+    async def open(config: InstrumentConfig) -> AsyncGenerator[Instrument]:
+        """Connect both devices at once; close them on leaving, the actuator first, each whatever became of the other.
+
+        Raises:
+            DeviceError: A device cannot be made or connected (all failures in one message), or did not close although all
+                else went well.
+            ConfigError: What the devices turned out to be contradicts the file.
+        """
+        camera, actuator = config.camera.create(), config.actuator.create()
+        failures: list[Exception] = []
+        try:
+            async with AsyncExitStack() as stack:
+                stack.push_async_callback(_close, camera, f"camera {config.camera.driver}", failures)
+                stack.push_async_callback(_close, actuator, f"actuator {config.actuator.driver}", failures)
+                await _connect_both(camera, actuator, config)
+                yield _checked(config, camera, actuator)
+        except BaseException as error:
+            for failure in failures:
+                error.add_note(f"while closing: {failure}")
+            raise
+        if failures:
+            raise _together("did not close", failures)
+
+    def describe(self) -> dict[str, Any]:
+        """What the instrument is, as plain JSON types: for ``--json``, logs and the cube."""
+        return {
+            "name": self.config.name,
+            "description": self.config.description,
+            "simulated": self.simulated,
+            "camera": {"driver": self.config.camera.driver, **_plain(self.camera_info)},
+            "actuator": {"driver": self.config.actuator.driver, **_plain(self.actuator_info)},
+        }
+
+
+async def _connect_both(camera: Camera, actuator: Actuator, config: InstrumentConfig) -> None:
+    failures: list[Exception] = []
+    async with asyncio.TaskGroup() as group:  # a failure is collected, not raised: the other device gets its own answer
+        group.create_task(_connect(camera, f"camera {config.camera.driver}", failures))
+        group.create_task(_connect(actuator, f"actuator {config.actuator.driver}", failures))
+    if failures:
+        raise _together("did not connect", failures)
+
+
+async def _connect(device: Camera | Actuator, name: str, failures: list[Exception]) -> None:
+    deadline = asyncio.timeout(_CONNECT_S)
+    try:
+        async with deadline:
+            await device.connect()
+        _log.info("connected", device=device.info.name, operation="connect")
+    except Exception as error:
+        timed_out = isinstance(error, TimeoutError) and deadline.expired()
+        failures.append(_timeout(name, "connect", _CONNECT_S) if timed_out else error)
+
+
+async def _close(device: Camera | Actuator, name: str, failures: list[Exception]) -> None:
+    deadline = asyncio.timeout(_CLOSE_S)
+    try:
+        async with deadline:
+            await device.close()
+    except Exception as error:  # collected: the other device is closed all the same
+        timed_out = isinstance(error, TimeoutError) and deadline.expired()
+        failures.append(_timeout(name, "close", _CLOSE_S) if timed_out else error)
+        _log.warning("did not close", device=name, operation="close", error=str(failures[-1]))
+
+
+def _timeout(name: str, operation: str, waited_s: float) -> DeviceTimeout:
+    return DeviceTimeout("no answer.", device=name, operation=operation, waited_s=waited_s)
+
+
+def _together(what: str, failures: list[Exception]) -> Exception:
+    """One error for one failure, itself; for several, one that lists them all."""
+    if len(failures) == 1:
+        return failures[0]
+    lines = [f"{type(failure).__name__}: {failure}" for failure in failures]
+    error = DeviceError("\n  - ".join([f"{len(failures)} devices {what}:", *lines]))
+    error.__cause__ = ExceptionGroup(what, failures)
+    return error
+
+
+def _checked(config: InstrumentConfig, camera: Camera, actuator: Actuator) -> Instrument:
+    """The instrument with its limits narrowed, or all contradictions between file and devices at once."""
+    problems: list[str] = []
+    limits = config.limits
+    camera_info, actuator_info = camera.info, actuator.info
+    here, there = config.geometry.steps_per_revolution, actuator_info.steps_per_revolution
+    if here != there:
+        problems.append(f"geometry.steps_per_revolution = {here}: {actuator_info.name} has {there}")
+    if config.roi is not None:
+        problems += _roi_problems(config, camera_info)
+    exposure = _narrowed("limits.exposure", camera_info.exposure, limits.exposure_s, camera_info.name, problems)
+    gain = _narrowed("limits.gain", camera_info.gain, limits.gain_db, camera_info.name, problems)
+    steps = _narrowed("limits.steps", actuator_info.limits, limits.steps, actuator_info.name, problems)
+    if problems:
+        raise ConfigError(f"instrument {config.name} does not fit its devices:", problems)
+    return Instrument(
+        config,
+        camera,
+        actuator,
+        replace(camera_info, exposure=exposure, gain=gain),
+        replace(actuator_info, limits=steps),
+    )
+
+
+def _roi_problems(config: InstrumentConfig, info: CameraInfo) -> list[str]:
+    assert config.roi is not None
+    roi = config.roi
+    ends = (
+        ("samples", roi.sample_offset + roi.samples, info.samples),
+        ("bands", roi.band_offset + roi.bands, info.bands),
+    )
+    return [f"roi: {word} end at {end}, the sensor of {info.name} has {size}" for word, end, size in ends if end > size]
+
+
+def _narrowed(key: str, allowed: Range, asked: tuple[float, float] | None, device: str, problems: list[str]) -> Range:
+    if asked is None:
+        return allowed
+    if asked[0] < allowed.minimum or asked[1] > allowed.maximum:
+        unit = f" {allowed.unit}" if allowed.unit else ""
+        problems.append(f"{key} = [{asked[0]:g}, {asked[1]:g}]{unit}: {device} allows {allowed}")
+        return allowed
+    if not allowed.step:
+        return replace(allowed, minimum=asked[0], maximum=asked[1])
+    steps = math.ceil((asked[0] - allowed.minimum) / allowed.step - 1e-6)  # stay on the device's own grid
+    return replace(allowed, minimum=allowed.minimum + steps * allowed.step, maximum=asked[1])
+
+
+def _plain(value: Any) -> Any:
+    """As JSON can hold it: limits that are infinite become null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, frozenset | tuple | list):
+        items = [_plain(item) for item in value]  # pyright: ignore[reportUnknownVariableType] whatever an info holds
+        return sorted(items) if isinstance(value, frozenset) else items
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, str) else value
