@@ -1,1 +1,1 @@
-"""Placeholder."""
+"""Cubes on disk: what is known of each line, where lines go, the streaming writer, the reader."""
