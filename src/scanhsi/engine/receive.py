@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from scanhsi.clock import now_ns
-from scanhsi.devices import Frame, FrameEvent, FrameGap, FrameStream
+from scanhsi.devices import Frame, FrameEvent, FrameGap
 from scanhsi.devices.errors import DeviceLost, ProtocolError
 from scanhsi.engine.deadlines import Deadline
 from scanhsi.engine.scan import Scan
@@ -16,34 +16,54 @@ SILENT_LINES = 2
 
 async def receive_exposed(scan: Scan) -> None:
     """Step modes: one event of the camera for each exposure, in order, each within its deadline."""
-    stream = scan.camera.frames()
-    lost = range(0)
+    events = _Events(scan)
     silent = 0
     while (line := await scan.exposed.get()) is not None:
-        if line not in lost:
-            event = await _next(scan, stream, line)
-            silent = silent + 1 if event is None else 0
-            lost = await _settle(scan, line, event, silent)
+        event = await events.next(line)
+        silent = silent + 1 if event is None else 0
+        if isinstance(event, Frame):
+            await take(scan, event, line)
+        elif isinstance(event, FrameGap):
+            scan.records.mark_missing(line, event.reason)
+        elif silent < SILENT_LINES:
+            scan.records.mark_missing(line, f"its frame did not arrive within {scan.deadlines.frame_s:g} s")
+        else:
+            raise _gone(scan, line)
         hand_on(scan, line)
     scan.filled.put_nowait(None)
 
 
-async def _next(scan: Scan, stream: FrameStream, line: int) -> FrameEvent | None:
-    """The camera's next word about ``line`` or a later one; None when the deadline has passed without any.
+class _Events:
+    """The camera's events, asked for line by line. Lines come in order, and so do events."""
 
-    What comes too late for a line that is given up already is let go.
-    """
-    try:
-        async with asyncio.timeout(scan.deadlines.frame_s):
-            while True:
-                event = await anext(stream, None)
-                if event is None:
-                    device = scan.camera.info.name
-                    raise ProtocolError("the frames ended before the last line.", device=device, line=line)
-                if past(event) > line:
-                    return event
-    except TimeoutError:
-        return None
+    def __init__(self, scan: Scan) -> None:
+        self._scan = scan
+        self._stream = scan.camera.frames()
+        self._held: FrameEvent | None = None
+
+    async def next(self, line: int) -> FrameEvent | None:
+        """The frame of ``line``, the gap it fell into, or None when the deadline has passed without a word.
+
+        What comes too late for a line that is given up already is let go; what belongs to a later line is kept for it.
+        """
+        if self._held is None or past(self._held) <= line:
+            self._held = await self._receive(line)
+        event = self._held
+        if event is not None and (event.first if isinstance(event, FrameGap) else event.index) > line:
+            return FrameGap(line, 1, "its frame was lost without a word: the next one came")
+        return event
+
+    async def _receive(self, line: int) -> FrameEvent | None:
+        limit_s = self._scan.deadlines.frame_s
+        try:
+            async with asyncio.timeout(limit_s):
+                while (event := await anext(self._stream, None)) is not None:
+                    if past(event) > line:
+                        return event
+        except TimeoutError:
+            return None
+        device = self._scan.camera.info.name
+        raise ProtocolError("the frames ended before the last line.", device=device, line=line)
 
 
 def past(event: FrameEvent) -> int:
@@ -51,35 +71,15 @@ def past(event: FrameEvent) -> int:
     return event.first + event.count if isinstance(event, FrameGap) else event.index + 1
 
 
-async def _settle(scan: Scan, line: int, event: FrameEvent | None, silent: int) -> range:
-    """Take the frame of ``line`` or mark it missing; return the lines that the event tells to be lost."""
-    if isinstance(event, FrameGap):
-        lost = range(event.first, past(event))
-        for gone in lost:
-            scan.records.mark_missing(gone, event.reason)
-        _check_order(scan, max(event.first, line), line)
-        return lost
-    if event is not None:
-        _check_order(scan, event.index, line)
-        await take(scan, event, line)
-    elif silent < SILENT_LINES:
-        scan.records.mark_missing(line, f"its frame did not arrive within {scan.deadlines.frame_s:g} s")
-    else:
-        raise DeviceLost(
-            f"no frame came for {SILENT_LINES} lines in a row.",
-            device=scan.camera.info.name,
-            operation="receive",
-            line=line,
-            waited_s=scan.deadlines.frame_s,
-            hint="check power and cable of the camera, then start again.",
-        )
-    return range(0)
-
-
-def _check_order(scan: Scan, index: int, line: int) -> None:
-    if index != line:
-        device = scan.camera.info.name
-        raise ProtocolError(f"the camera delivered exposure {index} where {line} was due.", device=device, line=line)
+def _gone(scan: Scan, line: int) -> DeviceLost:
+    return DeviceLost(
+        f"no frame came for {SILENT_LINES} lines in a row.",
+        device=scan.camera.info.name,
+        operation="receive",
+        line=line,
+        waited_s=scan.deadlines.frame_s,
+        hint="check power and cable of the camera, then start again.",
+    )
 
 
 async def take(scan: Scan, frame: Frame, line: int) -> None:

@@ -28,7 +28,7 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
         dead_ns=round(camera.dead_time_s() * 1e9) if isinstance(camera, OverlapsReadout) else 0,
         overlap=isinstance(camera, OverlapsReadout),
     )
-    reached = bound(starts, delays, course.mode) if len(starts) > 1 else None
+    reached = bound(starts, delays, course.mode)
     return ScanReport(
         mode=course.mode,
         lines=course.lines,

@@ -98,8 +98,10 @@ class Bound:
     regret: float
 
 
-def bound(starts: Ns, delays: LineDelays, mode: str, skip: int = 3) -> Bound:
+def bound(starts: Ns, delays: LineDelays, mode: str, skip: int = 3) -> Bound | None:
     """Compare measured exposure starts with the earliest ones for the same delays.
+
+    None where there is nothing to compare: fewer than two lines, or delays that are all zero.
 
     Args:
         starts: int64 (n,), measured exposure starts, ns.
@@ -109,4 +111,6 @@ def bound(starts: Ns, delays: LineDelays, mode: str, skip: int = 3) -> Bound:
     """
     skip = min(skip, max(len(starts) - 2, 0))
     earliest = mean_period_ns(earliest_starts(delays, mode), skip)
+    if not earliest > 0:
+        return None
     return Bound(period_s=earliest * 1e-9, regret=mean_period_ns(starts, skip) / earliest)

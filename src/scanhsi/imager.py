@@ -1,0 +1,157 @@
+"""The Python interface: open an instrument, scan with it."""
+
+from __future__ import annotations
+
+import asyncio
+import platform
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+from pydantic import ValidationError
+from structlog.contextvars import bound_contextvars
+
+from scanhsi.cube import CubeSpec, CubeWriter, DiscardSink, LineSink
+from scanhsi.devices import Actuator, Camera, CameraSettings
+from scanhsi.devices.errors import ConfigError
+from scanhsi.engine import Course, Progress, ScanPlan, ScanReport, run_scan
+from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
+from scanhsi.instrument.problems import problems_of
+
+
+@asynccontextmanager
+async def open_instrument(
+    source: str | Path | InstrumentConfig, *, seed: int | None = None
+) -> AsyncGenerator[Imager]:
+    """Connect the devices of an instrument; close them again on leaving.
+
+    Args:
+        source: Name of a shipped instrument (``"sensors2019"``), path of an instrument file, or a configuration.
+        seed: For simulated devices: draw delays and noise from this seed instead of the one in the file.
+
+    Raises:
+        ConfigError: The instrument file is wrong; lists every problem.
+        DeviceError: A device cannot be connected.
+    """
+    config = source if isinstance(source, InstrumentConfig) else load_instrument(source)
+    if seed is not None:
+        config = config.with_seed(seed)
+    async with Instrument.open(config) as instrument:
+        yield Imager(instrument)
+
+
+class Imager:
+    """An open instrument that scans; made by `open_instrument`.
+
+    Attributes:
+        instrument: Its configuration and devices.
+    """
+
+    def __init__(self, instrument: Instrument) -> None:
+        self.instrument = instrument
+
+    @property
+    def config(self) -> InstrumentConfig:
+        """The instrument file."""
+        return self.instrument.config
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, for use between scans."""
+        return self.instrument.camera
+
+    @property
+    def actuator(self) -> Actuator:
+        """The actuator, for use between scans."""
+        return self.instrument.actuator
+
+    def default_plan(self, **overrides: Any) -> ScanPlan:
+        """The plan of the instrument file's ``[scan]`` table, with some fields set otherwise.
+
+        Raises:
+            ConfigError: A field is wrong; lists every problem.
+        """
+        written = {key: value for key, value in self.config.scan.model_dump().items() if value is not None}
+        for key, value in overrides.items():
+            field = next((name for name, info in ScanPlan.model_fields.items() if info.alias == key), key)
+            written.pop(field, None)
+            written[key] = value
+        if written.get("mode") != "continuous":  # a period in the file speaks of continuous scans only
+            written.pop("period_s", None)
+        try:
+            return ScanPlan.model_validate(written)
+        except ValidationError as error:
+            raise ConfigError("the scan plan is wrong:", problems_of(error, ScanPlan)) from error
+
+    def course(self, plan: ScanPlan) -> Course:
+        """What a plan comes to on this instrument.
+
+        Raises:
+            OutOfRange: A setting or a mirror position is not allowed here; nothing moved.
+        """
+        geometry = self.config.geometry
+        steps = plan.steps(geometry.normal_step)
+        asked = CameraSettings(
+            exposure_s=plan.exposure_s,
+            gain_db=plan.gain_db,
+            pixel_format=plan.pixel_format,
+            roi=self.config.roi.roi if self.config.roi else None,
+        )
+        settings = self.instrument.check(asked, (int(steps[0]), int(steps[-1])))
+        angles = np.array([geometry.angle_rad(int(step)) for step in steps])
+        return Course(plan.mode, settings, steps, angles, plan.period_s)
+
+    async def scan(
+        self,
+        plan: ScanPlan,
+        output: str | Path | None,
+        *,
+        on_progress: Callable[[Progress], None] | None = None,
+        stop: asyncio.Event | None = None,
+    ) -> ScanReport:
+        """Scan.
+
+        Args:
+            plan: What to scan.
+            output: Path of the cube to create, which must not exist; None discards the lines.
+            on_progress: Called at most four times a second, in the event loop.
+            stop: Set it to finish the line under way and close the cube.
+
+        Raises:
+            OutOfRange, UnsupportedFeature, CubeExists: Refused; nothing moved, nothing was overwritten.
+            ScanFailed: It began and did not end well; what was stored is safe and opens as a shorter cube.
+        """
+        course = self.course(plan)
+        run = uuid4().hex[:12]
+        sink = DiscardSink() if output is None else self._writer(course, plan, Path(output), run)
+        with bound_contextvars(run=run):
+            return await run_scan(
+                course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop
+            )
+
+    def _writer(self, course: Course, plan: ScanPlan, output: Path, run: str) -> LineSink:
+        settings, roi = course.settings, course.settings.roi
+        assert roi is not None, "Instrument.check fills the ROI in"
+        spectral = self.config.spectral
+        spec = CubeSpec(
+            lines=course.lines,
+            bands=roi.bands,
+            samples=roi.samples,
+            dtype=settings.pixel_format.dtype,
+            significant_bits=settings.pixel_format.bits,
+            attributes={
+                "run": run,
+                "simulated": self.instrument.simulated,
+                "plan": plan.model_dump(mode="json"),
+                "instrument": self.config.model_dump(mode="json"),
+                "devices": self.instrument.describe(),
+                "versions": {"scanhsi": version("scanhsi"), "python": platform.python_version()},
+            },
+            wavelength_nm=spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None,
+        )
+        storage = self.config.storage
+        return CubeWriter(output, spec, lines_per_shard=storage.lines_per_shard, codec=storage.codec)

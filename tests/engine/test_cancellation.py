@@ -1,0 +1,120 @@
+"""Cancel a short scan before every callback, fail every device operation, and both: the guarantees hold each time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from scanhsi.cube.records import LineStatus
+from scanhsi.devices import CameraSettings, PixelFormat
+from scanhsi.devices.errors import DeviceLost, ScanFailed
+from scanhsi.engine import Course, Mode, run_scan
+from support.bench import Bench, BenchActuator, BenchCamera, MemorySink
+from support.fuzz import Outcome, cancel_everywhere, run_with_cancel_before
+
+LINES = 4
+
+
+@dataclass
+class Case:
+    """One scan with everything it touches, made anew for each run."""
+
+    mode: Mode
+    fail_at: int | None = None
+    camera: Callable[[Bench], BenchCamera] = BenchCamera
+
+    def __post_init__(self) -> None:
+        self.renew()
+
+    def renew(self) -> None:
+        self.bench = Bench(fail_at=self.fail_at, copy_ms=0.5)
+        self.sink = MemorySink(batch=2, capacity=4, store_ms=2.0)
+
+    async def scan(self) -> None:
+        steps = np.arange(LINES, dtype=np.int64)
+        course = Course(self.mode, CameraSettings(0.02, 0.0, PixelFormat.MONO12), steps, steps * 0.1)
+        await run_scan(course, self.camera(self.bench), BenchActuator(self.bench), self.sink)
+
+    def main(self):
+        self.renew()
+        return self.scan()
+
+    def violations(self, outcome: Outcome) -> list[str]:
+        """What does not hold after a run."""
+        bench, sink = self.bench, self.sink
+        stored = np.flatnonzero(sink.records.status != LineStatus.NOT_STORED) if sink.records.lines else np.array([])
+        found = {
+            "a cancellation was swallowed": bool(outcome.requested) and not outcome.surfaced,
+            "a task was left": bool(outcome.orphans),
+            "an exception went to the loop": bool(outcome.unhandled),
+            "the mirror was not stopped": not bench.stopped,
+            "the camera is armed": bench.armed,
+            "the sink was not closed": sink.opened and not sink.closed,
+            "the mirror moved in an exposure": bool(bench.moved_while_exposing()),
+            "stored lines are not a prefix": stored.tolist() != list(range(len(stored))),
+            "a stored line is wrong": any(np.any(sink.pixels[int(line)] != line) for line in stored),
+            "the wrong exception": outcome.error is not None and not isinstance(outcome.error, ScanFailed | DeviceLost),
+        }
+        return [name for name, holds in found.items() if holds]
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_cancel_before_every_callback(mode: Mode) -> None:
+    case = Case(mode)
+    cases = 0
+    for outcome in cancel_everywhere(case.main, again_after=(None, 1, 2, 5, 20)):
+        assert not case.violations(outcome), (outcome, case.violations(outcome))
+        cases += 1
+    assert cases > 250
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_every_device_operation_fails(mode: Mode) -> None:
+    healthy = Case(mode)
+    run_with_cancel_before(healthy.main, None)
+    assert healthy.bench.operations > 3 * LINES if mode is not Mode.CONTINUOUS else LINES
+    for number in range(healthy.bench.operations):
+        case = Case(mode, fail_at=number)
+        outcome = run_with_cancel_before(case.main, None)
+        assert isinstance(outcome.error, ScanFailed | DeviceLost), number
+        assert "pulled the plug" in str(outcome.error)
+        assert not case.violations(outcome), (number, case.violations(outcome))
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_failure_and_cancellation_together(mode: Mode) -> None:
+    for number in (1, 4, 7, 10):
+        case = Case(mode, fail_at=number)
+        for outcome in cancel_everywhere(case.main):
+            assert not case.violations(outcome), (number, outcome, case.violations(outcome))
+
+
+def test_the_fuzz_has_teeth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cleanup that is merely awaited, as one would write it first, is caught breaking the guarantees."""
+
+    async def naive(steps):
+        for step in steps:
+            await step.action()
+        return []
+
+    monkeypatch.setattr("scanhsi.engine.run.clean_up", naive)
+    case = Case(Mode.STEPPED)
+    broken = {name for outcome in cancel_everywhere(case.main, again_after=(1,)) for name in case.violations(outcome)}
+    assert {"the sink was not closed", "the camera is armed"} & broken
+
+
+def test_an_orphan_task_would_be_caught() -> None:
+    """A camera that leaves a task behind on disarm is reported by the same check."""
+
+    class Litterer(BenchCamera):
+        async def disarm(self) -> None:
+            self.litter = asyncio.get_running_loop().create_task(asyncio.sleep(1000), name="litter")
+            await super().disarm()
+
+    case = Case(Mode.STEPPED, camera=Litterer)
+    outcome = run_with_cancel_before(case.main, 30)
+    assert "a task was left" in case.violations(outcome)
