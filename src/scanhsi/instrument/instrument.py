@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Final
 
-from scanhsi.devices import Actuator, ActuatorInfo, Camera, CameraInfo, Range
+from scanhsi.devices import Actuator, ActuatorInfo, Camera, CameraInfo, CameraSettings, Range, check_settings
 from scanhsi.devices.errors import ConfigError, DeviceError, DeviceTimeout
 from scanhsi.instrument.config import InstrumentConfig
 from scanhsi.log import get_logger
@@ -65,6 +65,20 @@ class Instrument:
         if failures:
             raise _together("did not close", failures)
 
+    def check(self, settings: CameraSettings, steps: Iterable[int]) -> CameraSettings:
+        """Refuse what devices or ``[limits]`` do not allow, before anything moves; return the settings with the ROI filled in.
+
+        Args:
+            settings: Of the camera.
+            steps: Mirror positions that are going to be visited; their extremes are enough.
+
+        Raises:
+            OutOfRange: Tells the value and what is allowed.
+        """
+        for step in steps:
+            self.actuator_info.limits.check("step", step, device=self.actuator_info.name)
+        return check_settings(self.camera_info, settings)
+
     def describe(self) -> dict[str, Any]:
         """What the instrument is, as plain JSON types: for ``--json``, logs and the cube."""
         return {
@@ -97,6 +111,20 @@ async def _connect(device: Camera | Actuator, name: str, failures: list[Exceptio
 
 
 async def _close(device: Camera | Actuator, name: str, failures: list[Exception]) -> None:
+    """Close within the deadline, in a task that no cancellation reaches: a second Ctrl-C must not leave a device half open."""
+    task = asyncio.ensure_future(_close_in_time(device, name, failures))
+    cancelled: asyncio.CancelledError | None = None
+    while not task.done():
+        try:
+            await asyncio.wait([task])
+        except asyncio.CancelledError as error:
+            cancelled = error
+    task.result()
+    if cancelled is not None:
+        raise cancelled
+
+
+async def _close_in_time(device: Camera | Actuator, name: str, failures: list[Exception]) -> None:
     deadline = asyncio.timeout(_CLOSE_S)
     try:
         async with deadline:

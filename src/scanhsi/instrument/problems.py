@@ -42,10 +42,8 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 def show(value: object) -> str:
     """A value as a TOML file would write it, shortened."""
-    try:
-        text = json.dumps(value, ensure_ascii=False, default=repr)
-    except (TypeError, ValueError):
-        text = repr(value)
+    plain = isinstance(value, str | int | float | list | dict | None)
+    text = json.dumps(value, ensure_ascii=False, default=repr) if plain else repr(value)
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
 
 
