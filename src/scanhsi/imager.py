@@ -24,9 +24,7 @@ from scanhsi.instrument.problems import problems_of
 
 
 @asynccontextmanager
-async def open_instrument(
-    source: str | Path | InstrumentConfig, *, seed: int | None = None
-) -> AsyncGenerator[Imager]:
+async def open_instrument(source: str | Path | InstrumentConfig, *, seed: int | None = None) -> AsyncGenerator[Imager]:
     """Connect the devices of an instrument; close them again on leaving.
 
     Args:
@@ -129,9 +127,7 @@ class Imager:
         run = uuid4().hex[:12]
         sink = DiscardSink() if output is None else self._writer(course, plan, Path(output), run)
         with bound_contextvars(run=run):
-            return await run_scan(
-                course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop
-            )
+            return await run_scan(course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop)
 
     def _writer(self, course: Course, plan: ScanPlan, output: Path, run: str) -> LineSink:
         settings, roi = course.settings, course.settings.roi

@@ -1,1 +1,1 @@
-"""Placeholder."""
+"""Time as physics: delays, the bounds they set, what a scan made of them."""

@@ -1,0 +1,86 @@
+# scanhsi: `make scan` runs a simulated scan, `make test` runs everything. Each does its own set-up, on a fresh Debian or Ubuntu too.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := env
+
+# The distribution's Python first: its python3-gi, through which Aravis is reached, fits no other minor version.
+PYTHON ?= $(shell for python in /usr/bin/python3 python3.13 python3.12 python3.11 python3; do \
+	command -v $$python >/dev/null && $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
+	&& { command -v $$python; break; }; done)
+VENV := .venv
+BIN := $(VENV)/bin
+OUT := out
+
+# What each target needs of the system, as Debian packages.
+PACKAGES_env := python3-venv
+PACKAGES_twin := python3-gi gir1.2-aravis-0.8 gcc libc6-dev libsimavr-dev libelf-dev
+PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git
+
+.PHONY: env twin scan test lint docs soak bench clean help
+help:  ## List the targets
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+env: $(VENV)/.runtime  ## Build the environment in .venv
+
+scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture and a timing table in out/
+	@rm -rf $(OUT)/hand.zarr && mkdir -p $(OUT)
+	$(BIN)/scanhsi scan sensors2019 -o $(OUT)/hand.zarr
+	$(BIN)/scanhsi info $(OUT)/hand.zarr
+	$(BIN)/scanhsi quicklook $(OUT)/hand.zarr -o $(OUT)/hand.png
+	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
+
+test: $(VENV)/.dev system-test $(VENV)/.gi lint docs  ## Everything: format, lint, types, layers, documentation, all tests
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.dev $(VENV)/.gi
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright --warnings src drivers sim
+	$(BIN)/lint-imports
+
+docs: $(VENV)/.dev  ## Build the documentation in site/
+	$(BIN)/mkdocs build --strict --quiet
+
+twin: $(VENV)/.runtime system-twin $(VENV)/.gi  ## Set up what `scanhsi twin` needs: Aravis and the AVR emulator
+
+soak: $(VENV)/.dev system-test $(VENV)/.gi  ## Slow soaks, not part of `make test`
+	$(BIN)/python -m pytest -m soak --timeout 3600
+
+bench: $(VENV)/.dev  ## Benchmarks of the engine and the writer
+	$(BIN)/python tests/benchmarks/engine_overhead.py
+
+clean:  ## Remove what was built
+	rm -rf $(VENV) $(OUT) site build dist
+
+# --- set-up --------------------------------------------------------------------------------------------------------------
+
+$(VENV)/bin/python: | system-env
+	@test -n "$(PYTHON)" || { echo "scanhsi needs Python 3.11 or newer; set PYTHON=/path/to/python3" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.runtime: pyproject.toml $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml $(VENV)/bin/python
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
+	@touch $@ $(VENV)/.runtime
+
+# PyGObject from the distribution, seen by the environment's Python of the same minor version; nothing else of the system is.
+$(VENV)/.gi: $(VENV)/bin/python
+	@if [ -d /usr/lib/python3/dist-packages/gi ]; then \
+		ln -sfn /usr/lib/python3/dist-packages/gi "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/gi"; \
+		touch $@; fi
+
+# Install the Debian packages that are missing, if any.
+.PHONY: system-env system-twin system-test
+system-env system-twin system-test: system-%:
+	@missing=""; if command -v dpkg-query >/dev/null; then for package in $(PACKAGES_$*); do \
+		dpkg-query -W -f '$${Status}' $$package 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$package"; done; fi; \
+	if [ -n "$$missing" ]; then \
+		sudo=$$([ "$$(id -u)" = 0 ] || echo sudo); \
+		echo "installing:$$missing"; \
+		$$sudo apt-get update -qq; \
+		DEBIAN_FRONTEND=noninteractive $$sudo apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
+	fi
