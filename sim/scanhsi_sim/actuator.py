@@ -1,0 +1,183 @@
+"""The simulated actuator: turns the bench's mirror, in times drawn from a delay profile.
+
+A move costs ``T_rand + T_act(steps) + settle``. T_rand is what the host's operating system adds now and then: the paper
+cannot say to which stage, and here the serial call pays for it; the mirror stands still meanwhile. During all of T_act and settle
+the mirror counts as moving, though part of it is serial exchange: so an exposure that begins too early is always seen.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+from scanhsi.clock import now_ns, sleep_until_ns
+from scanhsi.devices import ActuatorInfo, Motion, Range, Sweep
+from scanhsi.devices.errors import DeviceBusy, DeviceError, MotionFailed
+from scanhsi.timing.delays import DelayStreams
+from scanhsi_sim.bench import Mirror, bench
+from scanhsi_sim.options import ActuatorOptions, find_profile
+
+_RUN_UP_S = 0.05
+
+
+class SimulatedActuator:
+    """Obeys the actuator contract and sweeps, with a trigger cable to the camera on the same bench."""
+
+    def __init__(self, options: ActuatorOptions) -> None:
+        self._options = options
+        self._bench = bench(options.bench)
+        self._profile = find_profile(options.profile)
+        self._streams = DelayStreams(self._profile, options.seed)
+        self._name = f"actuator simulated {options.bench}"
+        self._info: ActuatorInfo | None = None
+        self._position = 0
+        self._homed = False
+        self._halted = asyncio.Event()
+        self._prepared: Sweep | None = None
+
+    @property
+    def info(self) -> ActuatorInfo:
+        """What the actuator is and allows."""
+        if self._info is None:
+            raise DeviceError("it is not connected.", device=self._name, operation="info")
+        return self._info
+
+    @property
+    def position(self) -> int:
+        """Last confirmed position, in steps."""
+        return self._position
+
+    @property
+    def homed(self) -> bool:
+        """Whether step 0 is the home position."""
+        return self._homed
+
+    async def connect(self) -> None:
+        """Take the actuator's place on the bench. The mirror stands at step 0 and is not homed, as after power-up."""
+        self._bench.claim("actuator", self, self._name)
+        options = self._options
+        self._bench.mirror = Mirror()
+        self._position, self._homed, self._prepared = 0, False, None
+        self._halted = asyncio.Event()  # of this event loop
+        self._info = ActuatorInfo(
+            name=self._name,
+            model="simulated mirror",
+            firmware=f"delay profile {self._profile.name} ({self._profile.mark})",
+            steps_per_revolution=options.steps_per_revolution,
+            limits=Range(*options.limits, step=1, unit="steps"),
+            max_rate_steps_s=options.max_rate_steps_s,
+            settle_s=self._profile.mean_s("settle"),
+            simulated=True,
+        )
+
+    async def close(self) -> None:
+        """Stop, and leave the bench."""
+        await self.stop()
+        self._info = None
+        self._bench.release("actuator", self)
+
+    async def home(self) -> Motion:
+        """Turn to the home position and make it step 0."""
+        self._ready("home")
+        commanded_ns = now_ns()
+        end_ns = commanded_ns + round(self._options.home_s * 1e9)
+        self._homed = False
+        self._bench.mirror.move(commanded_ns, end_ns, 0)
+        await self._arrive(end_ns, 0, "home")
+        self._homed = True
+        return Motion(0, commanded_ns, now_ns())
+
+    async def move_to(self, step: int) -> Motion:
+        """Move to a step; return at the end of motion and settle."""
+        self._ready("move_to")
+        self.info.limits.check("step", step, device=self._name)
+        return await self._move(step, f"move_to {step}")
+
+    async def _move(self, step: int, operation: str) -> Motion:
+        commanded_ns, line = now_ns(), self._bench.exposures
+        moving_ns = commanded_ns + self._streams.delay_ns("T_rand", line)
+        steps = abs(step - self._position)
+        cost_ns = self._streams.delay_ns("T_act", line, steps=steps) + self._streams.delay_ns("settle", line)
+        self._bench.mirror.move(moving_ns, moving_ns + cost_ns, step)
+        await self._arrive(moving_ns + cost_ns, step, operation)
+        return Motion(step, commanded_ns, now_ns())
+
+    async def stop(self) -> None:
+        """Stop the mirror where it is."""
+        self._prepared = None
+        self._position = self._bench.mirror.halt(now_ns())
+        self._halted.set()
+
+    def check_sweep(self, sweep: Sweep) -> Sweep:
+        """Refuse a sweep outside speed and limits."""
+        speeds = Range(1e-3, self.info.max_rate_steps_s, unit="steps/s")
+        speeds.check("sweep rate", sweep.rate_steps_s, device=self._name)
+        for name, step in zip(("start of the run-up", "end of the run-out"), self._ends(sweep), strict=True):
+            self.info.limits.check(name, step, device=self._name)
+        return sweep
+
+    def run_up_s(self, sweep: Sweep) -> float:
+        """Mean time from the call of `sweep` until the mirror passes its first line."""
+        latency_s = self._profile.mean_s("T_rand") + self._profile.mean_s("T_act")
+        return latency_s + _run_up(sweep) / sweep.rate_steps_s
+
+    async def prepare_sweep(self, sweep: Sweep) -> Motion:
+        """Move to the start of the run-up."""
+        self._ready("prepare_sweep")
+        self.check_sweep(sweep)
+        motion = await self._move(self._ends(sweep)[0], "prepare_sweep")
+        self._prepared = sweep
+        return motion
+
+    async def sweep(self, sweep: Sweep) -> Motion:
+        """Run the prepared sweep at constant speed, with a pulse at each line where asked."""
+        self._ready("sweep")
+        if self._prepared != sweep:
+            raise DeviceError("this sweep is not prepared.", device=self._name, operation="sweep")
+        self._prepared = None
+        line = self._bench.exposures
+        begin_ns = now_ns() + self._streams.delay_ns("T_rand", line) + self._streams.delay_ns("T_act", line)
+        start, end = self._ends(sweep)
+        end_ns = begin_ns + round(abs(end - start) / sweep.rate_steps_s * 1e9)
+        self._bench.mirror.move(begin_ns, end_ns, end)
+        passes_ns = [_pass_ns(sweep, begin_ns, line) for line in range(sweep.count)]
+        for when_ns in passes_ns if sweep.pulses else ():
+            await self._arrive(when_ns, None, "sweep")
+            self._bench.pulse(when_ns)
+        await self._arrive(end_ns, end, "sweep")
+        return Motion(end, passes_ns[0], now_ns(), pulses=sweep.count if sweep.pulses else 0)
+
+    def _ends(self, sweep: Sweep) -> tuple[int, int]:
+        """Steps at which the run-up begins and the run-out ends: a line is exposed behind its place, so the run-out is longer."""
+        way = _run_up(sweep) if sweep.every > 0 else -_run_up(sweep)
+        return sweep.first - way, sweep.last + way + sweep.every
+
+    def _ready(self, operation: str) -> None:
+        if self._info is None:
+            raise DeviceError("it is not connected.", device=self._name, operation=operation)
+        if self._bench.mirror.still_from_ns > now_ns():
+            raise DeviceBusy(
+                "the mirror is still moving.", device=self._name, operation=operation, hint="stop it first."
+            )
+        self._halted.clear()
+
+    async def _arrive(self, when_ns: int, step: int | None, operation: str) -> None:
+        """Wait until the mirror is there; a stop on the way raises."""
+        try:
+            async with asyncio.timeout_at(when_ns * 1e-9):
+                await self._halted.wait()
+        except TimeoutError:
+            await sleep_until_ns(when_ns)
+            if step is not None:
+                self._position = step
+            return
+        raise MotionFailed(f"it was stopped at step {self._position}.", device=self._name, operation=operation)
+
+
+def _run_up(sweep: Sweep) -> int:
+    """Steps to come up to speed before the first line."""
+    return max(abs(sweep.every), math.ceil(sweep.rate_steps_s * _RUN_UP_S))
+
+
+def _pass_ns(sweep: Sweep, begin_ns: int, line: int) -> int:
+    return begin_ns + round((_run_up(sweep) + line * abs(sweep.every)) / sweep.rate_steps_s * 1e9)

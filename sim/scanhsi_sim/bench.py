@@ -1,0 +1,114 @@
+"""The bench on which simulated camera and actuator stand: the mirror that one turns and the other sees, and the trigger cable.
+
+Devices with the same bench name in one process share a bench. It lives as long as one of its devices.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+import weakref
+from collections.abc import Callable
+
+from scanhsi.devices.errors import DeviceBusy
+
+_KEPT = 512  # corners of the mirror's course; exposures look back over a handful
+
+
+class Mirror:
+    """True position of the mirror over time, in steps: a polyline."""
+
+    def __init__(self, step: int = 0) -> None:
+        self._times: list[int] = [0]
+        self._steps: list[float] = [step]
+
+    @property
+    def still_from_ns(self) -> int:
+        """When the last motion ends, or ended."""
+        return self._times[-1]
+
+    def move(self, start_ns: int, end_ns: int, step: int) -> None:
+        """Turn to `step` at constant speed, from `start_ns` to `end_ns`; before, stand where the last motion ended."""
+        if len(self._times) > _KEPT:
+            del self._times[: _KEPT // 2], self._steps[: _KEPT // 2]
+        self._times += [start_ns, end_ns]
+        self._steps += [self._steps[-1], step]
+
+    def halt(self, now_ns: int) -> int:
+        """Stop at once, at the nearest step, which is returned."""
+        step = round(self.position(now_ns))
+        keep = bisect.bisect_right(self._times, now_ns)
+        if keep < len(self._times):
+            del self._times[keep:], self._steps[keep:]
+            self._times.append(now_ns)
+            self._steps.append(step)
+        return step
+
+    def position(self, when_ns: int) -> float:
+        """Position at a time, in steps."""
+        right = bisect.bisect_right(self._times, when_ns)
+        if right == len(self._times):
+            return self._steps[-1]
+        if right == 0:
+            return self._steps[0]
+        start, end = self._times[right - 1], self._times[right]
+        share = (when_ns - start) / (end - start)
+        return self._steps[right - 1] + share * (self._steps[right] - self._steps[right - 1])
+
+    def span(self, start_ns: int, end_ns: int) -> tuple[int, int]:
+        """Lowest and highest step during an interval. Equal if the mirror stood still."""
+        inside = self._steps[bisect.bisect_right(self._times, start_ns) : bisect.bisect_left(self._times, end_ns)]
+        places = [self.position(start_ns), *inside, self.position(end_ns)]
+        # Times are whole ns, so positions on the way are off by up to some 1e-6 steps.
+        return math.floor(min(places) + 1e-3), math.ceil(max(places) - 1e-3)
+
+
+class Bench:
+    """What simulated camera and actuator share.
+
+    Attributes:
+        mirror: The mirror.
+        exposures: Exposures since the camera was armed: the line that the next exposure is. Delays of a move are those of the
+            line that it leads to, whatever the scan mode.
+        trigger: The camera's trigger input, while it listens: takes the time of a pulse in ns.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.mirror = Mirror()
+        self.exposures = 0
+        self.trigger: Callable[[int], None] | None = None
+        self._owners: weakref.WeakValueDictionary[str, object] = weakref.WeakValueDictionary()
+
+    def claim(self, role: str, device: object, name: str) -> None:
+        """Make `device` the camera or the actuator of this bench.
+
+        Raises:
+            DeviceBusy: Another one is connected.
+        """
+        owner = self._owners.setdefault(role, device)
+        if owner is not device:
+            raise DeviceBusy(
+                f"bench {self.name!r} has a connected {role} already.",
+                device=name,
+                operation="connect",
+                hint='close it, or give this instrument a bench of its own with bench = "...".',
+            )
+
+    def release(self, role: str, device: object) -> None:
+        """Undo `claim`; nothing happens to a claim of another device."""
+        if self._owners.get(role) is device:
+            del self._owners[role]
+
+    def pulse(self, when_ns: int) -> None:
+        """A pulse on the trigger cable. Nobody hears it unless the camera listens."""
+        if self.trigger is not None:
+            self.trigger(when_ns)
+
+
+_benches: weakref.WeakValueDictionary[str, Bench] = weakref.WeakValueDictionary()
+
+
+def bench(name: str) -> Bench:
+    """The bench of that name in this process."""
+    return _benches.setdefault(name, Bench(name))

@@ -1,0 +1,90 @@
+"""What an instrument file may say about the simulated devices."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from scanhsi.devices.errors import ConfigError
+from scanhsi.timing.delays import DelayProfile, load_profile
+from scanhsi_sim.scenes import SCENES
+
+
+@cache
+def find_profile(name: str) -> DelayProfile:
+    """A delay profile that ships with the simulator (``"sensors2019"``, ``"ideal"``), or one by the path of its JSON file.
+
+    Raises:
+        ConfigError: There is none of that name, or it is not a profile.
+    """
+    if name.endswith(".json"):
+        return load_profile(Path(name))
+    folder = files("scanhsi_sim") / "profiles"
+    known = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
+    if name not in known:
+        raise ConfigError(
+            f"there is no delay profile {name!r}; there are: {', '.join(known)}, or give the path of a .json file."
+        )
+    return load_profile(Path(str(folder / f"{name}.json")))
+
+
+def _known_profile(name: str) -> str:
+    find_profile(name)
+    return name
+
+
+def _known_scene(name: str) -> str:
+    if name not in SCENES:
+        raise ValueError(f"there is no scene {name!r}; there are: {', '.join(SCENES)}")
+    return name
+
+
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError("the smallest value comes first")
+    return pair
+
+
+Pair = Annotated[tuple[float, float], AfterValidator(_ordered)]
+
+
+class _Options(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bench: str = Field(
+        default="bench", description="camera and actuator with the same word look at, and turn, the same mirror"
+    )
+    profile: Annotated[str, AfterValidator(_known_profile)] = Field(
+        default="sensors2019", description="delays: sensors2019, ideal (none), or the path of a profile's JSON file"
+    )
+    seed: int = Field(default=0, ge=0, lt=2**63, description="of everything that is drawn at random")
+
+
+class CameraOptions(_Options):
+    """Options of the simulated camera."""
+
+    scene: Annotated[str, AfterValidator(_known_scene)] = Field(
+        default="hand", description=f"what it looks at: {', '.join(SCENES)}"
+    )
+    bands: int = Field(default=1088, ge=1, le=8192, description="pixels of the sensor along the spectrum")
+    samples: int = Field(default=2048, ge=1, le=8192, description="pixels of the sensor along the slit")
+    overlap: bool = Field(default=True, description="whether the next exposure may overlap the read-out of the last")
+    exposure_range_s: Pair = Field(default=(0.01, 2.0), description="allowed exposure times in s")
+    gain_range_db: Pair = Field(default=(0.0, 25.0), description="allowed gains in dB")
+    distance_mm: float = Field(default=350.0, gt=0, description="mirror to object plane, for the scene")
+    normal_step: int = Field(default=0, description="mirror step that looks straight at the scene")
+
+
+class ActuatorOptions(_Options):
+    """Options of the simulated actuator."""
+
+    steps_per_revolution: int = Field(default=19_200, gt=0, description="steps of one turn of the mirror")
+    limits: Annotated[tuple[int, int], AfterValidator(_ordered)] = Field(
+        default=(-2400, 2400), description="lowest and highest step"
+    )
+    max_rate_steps_s: float = Field(default=4000.0, gt=0, description="highest speed of a sweep")
+    home_s: float = Field(default=2.0, ge=0, description="how long homing takes")
