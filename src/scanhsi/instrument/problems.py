@@ -66,7 +66,7 @@ def _sentence(item: Mapping[str, Any], model: type[BaseModel] | None, loc: tuple
         return f"{key} is missing{_expected(model, str(loc[-1]))}"
     if item["type"] == "extra_forbidden":
         return f"{key} = {show(item['input'])}: there is no such key{_known(model, str(loc[-1]))}"
-    message = str(item["msg"])
+    message = str(item["msg"]).removeprefix("Value error, ")
     return f"{key} = {show(item['input'])}: {message[:1].lower()}{message[1:]}"
 
 

@@ -1,0 +1,127 @@
+"""The program: options of all commands, the commands, and how it ends."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+
+import typer
+from typer.core import TyperGroup
+from typer.rich_utils import rich_format_error
+
+from scanhsi import log
+from scanhsi.cli import drivers, info, quicklook, scan, schema, twin
+from scanhsi.cli.codes import EXIT_CODES, ExitCode
+from scanhsi.cli.output import show_error, write_json
+
+_FLAGS = ("--log-json", "--version")
+_WITH_VALUE = ("--log-level", "--log-file")
+
+
+def global_options_first(args: Sequence[str]) -> list[str]:
+    """The same words with the options of all commands in front, so that they may stand anywhere before ``--``."""
+    end = list(args).index("--") if "--" in args else len(args)
+    first: list[str] = []
+    rest: list[str] = []
+    words = iter(args[:end])
+    for word in words:
+        if word in _WITH_VALUE:
+            first += [word, *[value for value in [next(words, None)] if value is not None]]
+        elif word in _FLAGS or word.split("=", 1)[0] in _WITH_VALUE:
+            first.append(word)
+        else:
+            rest.append(word)
+    return [*first, *rest, *args[end:]]
+
+
+class _Group(TyperGroup):
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, global_options_first(args))
+
+
+app = typer.Typer(
+    name="scanhsi",
+    cls=_Group,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    epilog=f"[bold]Exit codes[/]: {EXIT_CODES}.",
+)
+for _command in (scan, info, quicklook, drivers, schema, twin):
+    _command.register(app)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        sys.stdout.write(f"scanhsi {version('scanhsi')}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    log_level: Annotated[
+        Literal["debug", "info", "warning", "error"],
+        typer.Option(help="Least level of events on stderr; debug also shows the traceback of errors."),
+    ] = "info",
+    log_json: Annotated[bool, typer.Option("--log-json", help="Events on stderr as JSON, one a line.")] = False,
+    log_file: Annotated[
+        Path | None, typer.Option(help="Append events to this file as JSON, one a line.", dir_okay=False)
+    ] = None,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Scan with line-scanning hyperspectral imagers: real ones, or simulated.
+
+    [bold]Example[/]: scanhsi scan sensors2019 -o hand.zarr
+    """
+    del version
+    try:
+        log.configure(level=log_level, as_json=log_json, file=log_file)
+    except OSError as error:
+        raise typer.BadParameter(f"{log_file} cannot be written: {error.strerror}", param_hint="--log-file") from error
+
+
+def run(args: Sequence[str]) -> int:
+    """Run a command line (without the program's name); return its exit code."""
+    as_json = "--json" in (args[: list(args).index("--")] if "--" in args else args)
+    try:
+        code = app(list(args), prog_name="scanhsi", standalone_mode=False)
+        return code if isinstance(code, int) else ExitCode.OK
+    except BrokenPipeError:  # whoever read stdout has enough
+        sys.stderr.close()
+        return ExitCode.OK
+    except (Exception, KeyboardInterrupt) as error:
+        if isinstance(error, _UsageError):
+            return _show_usage_error(error, as_json)
+        return show_error(error, as_json=as_json, debug=logging.getLogger().isEnabledFor(logging.DEBUG))
+    finally:
+        log.reset()
+
+
+def main() -> None:
+    """Entry point of the console script ``scanhsi``."""
+    sys.exit(run(sys.argv[1:]))
+
+
+@runtime_checkable
+class _UsageError(Protocol):
+    """typer's error for a wrong command line; where its class lives differs between versions of typer."""
+
+    exit_code: int
+
+    def format_message(self) -> str: ...
+
+
+def _show_usage_error(error: _UsageError, as_json: bool) -> int:
+    if as_json:
+        message = {"type": "UsageError", "message": error.format_message(), "exit_code": int(ExitCode.USAGE)}
+        write_json({"error": message})
+    rich_format_error(error)  # pyright: ignore[reportArgumentType] it is typer's own error
+    return ExitCode.USAGE

@@ -1,0 +1,94 @@
+"""``scanhsi info``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+
+from scanhsi.cli.output import results, write_json
+
+if TYPE_CHECKING:
+    from scanhsi.cube.reader import CubeSummary
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(info)
+
+
+def info(
+    cube: Annotated[Path, typer.Argument(help="Cube to tell about.")],
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Tell what a cube holds: its plan, shape, lines stored and missing, time per stage, efficiency.
+
+    [bold]Example[/]: scanhsi info hand.zarr
+    """
+    from scanhsi.cube.reader import cube_summary, read_records
+    from scanhsi.timing.observed import stage_times
+
+    summary = cube_summary(cube)
+    stages = stage_times(read_records(cube).stamps) if summary.shape[1] else {}
+    period_s = stages["line"].mean_s if "line" in stages else None
+    exposure_s = _plan(summary).get("exposure_s")
+    efficiency = exposure_s / period_s if period_s and isinstance(exposure_s, float) else None
+    if json:
+        write_json(
+            {
+                **asdict(summary),
+                "period_s": period_s,
+                "lines_per_second": 1 / period_s if period_s else None,
+                "efficiency": efficiency,
+                "stages": {name: asdict(stage) for name, stage in stages.items()},
+            }
+        )
+        return
+    from scanhsi.cli.summary import missing_lines, stage_table
+
+    console = results()
+    console.print(_facts(summary, period_s, efficiency))
+    if stages:
+        console.print(stage_table(stages))
+    for line in missing_lines(summary.missing_reasons):
+        console.print(line)
+
+
+def _plan(summary: CubeSummary) -> dict[str, Any]:
+    plan = summary.attributes.get("plan")
+    return cast("dict[str, Any]", plan) if isinstance(plan, dict) else {}
+
+
+def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | None) -> Any:
+    from rich.text import Text
+
+    from scanhsi.cli.summary import duration, facts
+    from scanhsi.instrument.quantities import format_quantity
+
+    bands, lines, samples = summary.shape
+    exposure_s, gain_db = _plan(summary).get("exposure_s"), _plan(summary).get("gain_db")
+    state = f"{summary.lines_stored} of {summary.lines_planned} lines stored, {summary.lines_missing} lost"
+    whole = summary.complete and not summary.lines_missing
+    return facts(
+        {
+            "cube": summary.path,
+            "state": Text(state if summary.complete else f"incomplete: {state}", style="green" if whole else "yellow"),
+            "simulated": Text("SIMULATED, not measured", style="bold yellow") if summary.simulated else None,
+            "shape": f"{bands} bands x {lines} lines x {samples} samples, {summary.dtype} "
+            f"({summary.significant_bits} bits), {format_quantity(summary.size_bytes, 'B', digits=3)} on disk",
+            "wavelength": None
+            if summary.wavelength_nm is None
+            else "{:.1f} to {:.1f} nm".format(*summary.wavelength_nm),
+            "plan": ", ".join(f"{key} {value}" for key, value in _shown_plan(_plan(summary)).items()) or None,
+            "exposure": None if exposure_s is None else f"{duration(exposure_s)} at {gain_db:g} dB",
+            "speed": None if period_s is None else f"{1 / period_s:.2f} lines/s, {duration(period_s)} a line",
+            "efficiency": None if efficiency is None else f"{efficiency:.1%}",
+        }
+    )
+
+
+def _shown_plan(plan: dict[str, Any]) -> dict[str, Any]:
+    elsewhere = ("exposure_s", "gain_db")
+    return {key: value for key, value in plan.items() if key not in elsewhere and value is not None}

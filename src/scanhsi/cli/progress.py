@@ -1,0 +1,88 @@
+"""What is seen of a running scan: a bar on a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from scanhsi.engine import Progress
+
+_BAR_PERIOD_S: Final = 0.25
+_LINE_PERIOD_S: Final = 5.0
+
+OnProgress = "Callable[[Progress], None]"
+
+
+@contextmanager
+def shown(console: Console) -> Generator[Callable[[Progress], None]]:
+    """Show progress on a console: yields what to call with each `Progress`.
+
+    Calls may come as often as they like; what is drawn is limited by the clock on the wall, not by that of the loop, because
+    the reader's eyes live there, also when the scan runs in virtual time.
+    """
+    if console.is_terminal:
+        with _bar(console) as show:
+            yield _at_most_every(_BAR_PERIOD_S, show)
+    else:
+        yield _at_most_every(_LINE_PERIOD_S, lambda progress: console.print(describe(progress), soft_wrap=True))
+
+
+def describe(progress: Progress) -> str:
+    """One line: lines, lines/s, efficiency, time left, lost lines."""
+    return (
+        f"line {progress.taken + progress.missing}/{progress.lines}, {progress.lines_per_second:.1f} lines/s, "
+        f"efficiency {progress.efficiency:.1%}, {clock(progress.remaining_s)} left, {progress.missing} lost"
+    )
+
+
+def clock(seconds: float) -> str:
+    """A duration as minutes and seconds: ``1:05``."""
+    if not 0 <= seconds < 360_000:
+        return "?"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+@contextmanager
+def _bar(console: Console) -> Generator[Callable[[Progress], None]]:
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bars
+
+    bars = Bars(
+        BarColumn(bar_width=None),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} lines  {task.fields[facts]}", markup=False),
+        console=console,
+        auto_refresh=False,
+        expand=True,
+    )
+    with bars:
+        task = bars.add_task("", total=None, facts="")
+
+        def show(progress: Progress) -> None:
+            facts = (
+                f"{progress.lines_per_second:.1f} lines/s  efficiency {progress.efficiency:.1%}  "
+                f"{clock(progress.remaining_s)} left  {progress.missing} lost"
+            )
+            bars.update(task, total=progress.lines, completed=progress.taken + progress.missing, facts=facts)
+            bars.refresh()
+
+        yield show
+
+
+def _at_most_every(period_s: float, show: Callable[[Progress], None]) -> Callable[[Progress], None]:
+    """Let a call pass when the last that passed is long enough ago, or when it is the last of the scan."""
+    due = 0.0
+
+    def limited(progress: Progress) -> None:
+        nonlocal due
+        now = time.monotonic()
+        if now >= due or progress.taken + progress.missing >= progress.lines:
+            due = now + period_s
+            show(progress)
+
+    return limited

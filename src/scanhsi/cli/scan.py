@@ -1,0 +1,149 @@
+"""``scanhsi scan``."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scanhsi.cli.codes import ExitCode
+from scanhsi.cli.output import messages, results, write_json
+
+if TYPE_CHECKING:
+    from scanhsi.engine import ScanReport
+    from scanhsi.instrument import InstrumentConfig
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(scan)
+
+
+def scan(
+    instrument: Annotated[
+        str, typer.Argument(help="Name of a shipped instrument (sensors2019, twin), or path of an instrument file.")
+    ] = "sensors2019",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="OUT", help="Cube to create, conventionally *.zarr.")
+    ] = None,
+    discard: Annotated[bool, typer.Option("--discard", help="Store nothing: measure how fast it goes.")] = False,
+    mode: Annotated[
+        str | None, typer.Option(help="sequential (all in turn), stepped, or continuous (the mirror sweeps).")
+    ] = None,
+    lines: Annotated[str | None, typer.Option(metavar="N", help="Lines of the cube.")] = None,
+    step: Annotated[
+        str | None, typer.Option(metavar="STEPS", help="Motor steps between lines; negative scans downwards.")
+    ] = None,
+    start: Annotated[str | None, typer.Option(metavar="STEP", help="Motor step of the first line.")] = None,
+    exposure: Annotated[str | None, typer.Option(metavar="TIME", help='With its unit: "20 ms".')] = None,
+    gain: Annotated[str | None, typer.Option(metavar="GAIN", help='With its unit: "3 dB".')] = None,
+    pixel_format: Annotated[
+        str | None, typer.Option(metavar="FORMAT", help="Mono8, Mono12Packed, Mono12 or Mono16.")
+    ] = None,
+    virtual: Annotated[
+        bool, typer.Option("--virtual", help="Run in virtual time: exact, and as fast as it can be computed.")
+    ] = False,
+    seed: Annotated[int | None, typer.Option(help="Seed of the simulated devices.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the instrument file for this scan; repeatable."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
+) -> None:
+    """Scan a cube.
+
+    What is not given comes from the [scan] table of the instrument file. The first Ctrl-C finishes the line and closes the cube,
+    the second cancels.
+
+    [bold]Example[/]: scanhsi scan sensors2019 -o hand.zarr --lines 300 --exposure "20 ms"
+
+    [bold]Example[/]: scanhsi scan --virtual --discard --lines 1200 --exposure "100 ms" --mode continuous --json
+    """
+    from scanhsi import clock
+    from scanhsi.instrument import load_instrument
+
+    if (output is None) != discard:
+        raise typer.BadParameter("say where the cube goes with -o OUT, or --discard it; one of the two.")
+    config = load_instrument(instrument, _parsed(settings or ()))
+    if seed is not None:
+        config = config.with_seed(seed)
+    if virtual:
+        _refuse_real_devices(config)
+    given = {
+        "mode": mode,
+        "lines": lines,
+        "step": step,
+        "start": start,
+        "exposure": exposure,
+        "gain": gain,
+        "pixel_format": pixel_format,
+    }
+    overrides = {name: value for name, value in given.items() if value is not None}
+    report = clock.run(_scan(config, overrides, output), virtual=virtual)
+    _finish(report, as_json=json)
+
+
+async def _scan(config: InstrumentConfig, overrides: dict[str, Any], output: Path | None) -> ScanReport:
+    from scanhsi.cli.interrupt import interrupts
+    from scanhsi.cli.progress import shown
+    from scanhsi.imager import open_instrument
+
+    console = messages()
+    tell: Callable[[str], None] = console.print
+    with interrupts(tell) as interrupt:
+        async with open_instrument(config) as imager:
+            plan = imager.default_plan(**overrides)
+            with shown(console) as show:
+                interrupt.scanning = True
+                try:
+                    return await imager.scan(plan, output, on_progress=show, stop=interrupt.stop)
+                finally:
+                    interrupt.scanning = False
+
+
+def _finish(report: ScanReport, *, as_json: bool) -> None:
+    """Tell the report; end with the exit code that it deserves."""
+    if as_json:
+        write_json(report.to_json())
+    else:
+        from scanhsi.cli.summary import scan_summary
+
+        results().print(scan_summary(report))
+    if report.stopped_early:
+        raise typer.Exit(ExitCode.INTERRUPTED)
+    if report.missing:
+        raise typer.Exit(ExitCode.SCAN_FAILED)
+
+
+def _parsed(settings: Iterable[str]) -> dict[str, object]:
+    """``key=value`` words; values as TOML writes them, anything else as text."""
+    values: dict[str, object] = {}
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals or not key.strip():
+            raise typer.BadParameter(
+                f"{setting!r} is not KEY=VALUE, as in geometry.distance='300 mm'.", param_hint="--set"
+            )
+        try:
+            values[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[key.strip()] = text.strip()
+    return values
+
+
+def _refuse_real_devices(config: InstrumentConfig) -> None:
+    from scanhsi.devices.errors import ConfigError
+
+    real = [device for device in (config.camera, config.actuator) if not device.backend.virtual_time]
+    if real:
+        raise ConfigError(
+            f"instrument {config.name} cannot run in virtual time:",
+            [
+                f"{device.role.word}.driver = {device.driver!r} talks to something outside, which takes real time"
+                for device in real
+            ],
+            hint="leave --virtual out, or scan a simulated instrument.",
+        )

@@ -1,0 +1,93 @@
+"""The facts of a scan, for people: a headline, a timing table, what was lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from scanhsi.instrument.quantities import format_quantity
+
+if TYPE_CHECKING:
+    from scanhsi.engine import ScanReport
+    from scanhsi.timing.observed import StageTime
+
+_MOST_REASONS = 10
+
+
+def scan_summary(report: ScanReport) -> RenderableType:
+    """What ``scanhsi scan`` says at the end."""
+    return Group(
+        facts(
+            {
+                "result": _result(report),
+                "simulated": Text("SIMULATED, not measured", style="bold yellow") if report.simulated else None,
+                "cube": report.output or "discarded",
+                "mode": report.mode,
+                "speed": f"{report.lines_per_second:.2f} lines/s, {duration(report.period_s)} a line, "
+                f"{duration(report.duration_s)} in all",
+                "efficiency": f"{report.efficiency:.1%} of the time exposing {duration(report.exposure_s)} a line",
+                "bound": bound(report.bound_s, report.regret),
+            }
+        ),
+        stage_table(report.stages),
+        *missing_lines(report.missing_reasons),
+    )
+
+
+def facts(rows: Mapping[str, str | Text | None]) -> RenderableType:
+    """Names and values, without those that are None."""
+    table = Table.grid(padding=(0, 2))
+    for name, value in rows.items():
+        if value is not None:
+            table.add_row(Text(name, style="bold"), value if isinstance(value, Text) else Text(value))
+    return table
+
+
+def stage_table(stages: Mapping[str, StageTime]) -> RenderableType:
+    """How long each stage of a line took."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("time per line")
+    for column in ("mean", "median", "99 %", "longest"):
+        table.add_column(column, justify="right")
+    for name, stage in stages.items():
+        table.add_row(name, *(duration(value) for value in (stage.mean_s, stage.p50_s, stage.p99_s, stage.max_s)))
+    return table
+
+
+def missing_lines(reasons: Mapping[int, str]) -> list[RenderableType]:
+    """Which lines were lost and why, the first of them."""
+    shown = [
+        Text(f"line {line} lost: {reason}", style="yellow") for line, reason in list(reasons.items())[:_MOST_REASONS]
+    ]
+    more = len(reasons) - len(shown)
+    return [*shown, Text(f"and {more} more", style="yellow")] if more else [*shown]
+
+
+def bound(bound_s: float | None, regret: float | None) -> str | None:
+    """How close the scan came to what the same delays allow."""
+    if bound_s is None or regret is None:
+        return None
+    return f"{duration(bound_s)} a line is the shortest these delays allow; this scan took {regret:.4f} times that"
+
+
+def duration(seconds: float) -> str:
+    """A time to four digits, in the unit that fits."""
+    return format_quantity(seconds, "s", digits=4) if seconds == seconds else "unknown"
+
+
+def _result(report: ScanReport) -> Text:
+    kept = (
+        f"{report.stored} of {report.lines} lines stored"
+        if report.output
+        else f"{report.lines} lines taken and discarded"
+    )
+    if report.stopped_early:
+        return Text(f"stopped early: {kept}, {report.missing} lost", style="bold yellow")
+    if report.missing:
+        return Text(f"incomplete: {kept}, {report.missing} lost", style="bold red")
+    return Text(kept, style="bold green")
