@@ -16,6 +16,7 @@ It runs only in a private network namespace (`scanhsi_sim.twins.netns`) and ends
 """
 
 import argparse
+import contextlib
 import ctypes
 import gc
 import json
@@ -27,68 +28,23 @@ import struct
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from scanhsi_sim.scenes import SCENES, Scene, load_scene
-from scanhsi_sim.twins import gvcp, netns
+from scanhsi_sim.twins import gvcp, netns, registers
 from scanhsi_sim.twins.fake import FakeCamera, MissingRequirement
 from scanhsi_sim.twins.mirror import MirrorReading, MirrorState
-from scanhsi_sim.twins.payload import BITS, MONO12_PACKED, pack
-from scanhsi_sim.twins.sensor import Exposed, Sensor, Settings, Source
+from scanhsi_sim.twins.payload import BITS, pack
+from scanhsi_sim.twins.sensor import Exposed, Sensor, Source
 
 ADDRESS = "127.0.0.1"
 GENICAM = Path(__file__).with_name("mako.xml")
 MEMORY_FRAMES = 4
 """Frames the camera can keep that are not yet sent."""
 
-_WIDTH, _HEIGHT, _OFFSET_X, _OFFSET_Y, _FORMAT = 0x100, 0x104, 0x130, 0x134, 0x128
-_SENSOR_HEIGHT, _SENSOR_WIDTH = 0x118, 0x11C
-_GAIN, _EXPOSURE, _ACQUISITION = 0x110, 0x120, 0x124
-_TEMPERATURE, _PERIOD, _TRIGGER_MODE, _TRIGGER_SOURCE, _TRIGGER_SOFTWARE, _RATE = (
-    0x500,
-    0x504,
-    0x50C,
-    0x510,
-    0x518,
-    0x51C,
-)
-_VENDOR, _MODEL, _VERSION = 0x48, 0x68, 0x88
-_SENSOR_BANDS, _SENSOR_SAMPLES = 1088, 2048
 _PR_SET_TIMERSLACK = 29
-
-
-def power_on(camera: FakeCamera) -> None:
-    """Give the registers the values that a camera has after power-on."""
-    camera.write_text(_VENDOR, "Allied Vision Technologies")
-    camera.write_text(_MODEL, "Mako G-223B (twin)")
-    camera.write_text(_VERSION, "1.0.0")
-    for address, value in {
-        _SENSOR_WIDTH: _SENSOR_SAMPLES,
-        _SENSOR_HEIGHT: _SENSOR_BANDS,
-        _WIDTH: _SENSOR_SAMPLES,
-        _HEIGHT: _SENSOR_BANDS,
-        _FORMAT: MONO12_PACKED,
-        _EXPOSURE: 10_000,
-        _PERIOD: 50_000,
-        _TEMPERATURE: 43_000,
-        _RATE: 115_000_000,
-    }.items():
-        camera.write(address, value)
-
-
-def read_settings(camera: FakeCamera) -> Settings:
-    """What the registers say now."""
-    triggered = camera.read(_TRIGGER_MODE) == 1
-    return Settings(
-        source=Source(camera.read(_TRIGGER_SOURCE)) if triggered else Source.FIXED_RATE,
-        exposure_us=camera.read(_EXPOSURE),
-        period_us=camera.read(_PERIOD),
-        gain_tenths=camera.read(_GAIN),
-        pixel_format=camera.read(_FORMAT),
-        shape=(camera.read(_HEIGHT), camera.read(_WIDTH)),
-        offset=(camera.read(_OFFSET_Y), camera.read(_OFFSET_X)),
-    )
 
 
 @dataclass(slots=True)
@@ -132,15 +88,15 @@ class Twin:
     def _take_packet(self, now_ns: int) -> None:
         event = self.listener.receive()
         if isinstance(event, gvcp.Write):
-            if event.address == _TRIGGER_SOFTWARE and event.value == 1:
+            if event.address == registers.TRIGGER_SOFTWARE and event.value == 1:
                 self.sensor.trigger(Source.SOFTWARE, event.host_ns, now_ns)
-            elif event.address == _ACQUISITION and event.value == 0:
+            elif event.address == registers.ACQUISITION and event.value == 0:
                 self._stop()
         elif isinstance(event, gvcp.Written):
             if event.taken_over:
-                self.camera.write(_ACQUISITION, 0)  # left on by an application that died
-            if self.camera.read(_ACQUISITION):
-                self.sensor.start(read_settings(self.camera), now_ns)
+                self.camera.write(registers.ACQUISITION, 0)  # left on by an application that died
+            if self.camera.read(registers.ACQUISITION):
+                self.sensor.start(registers.read_settings(self.camera), now_ns)
             elif self.sensor.acquiring:
                 self._stop()
 
@@ -213,31 +169,45 @@ def _percentiles(values_ns: tuple[int, ...]) -> list[int]:
 def _hurry() -> None:
     """Wake the calling thread as promptly as this machine allows: it notes where the mirror is when an exposure begins."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    try:
+    with contextlib.suppress(PermissionError):  # only root of the machine may
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-    except PermissionError:
-        pass  # only root of the machine may; the default scheduler wakes it well enough on a machine with an idle core
+
+
+def _survivor(read: Callable[[], MirrorReading]) -> Callable[[], MirrorReading]:
+    """Read the mirror; where the stepper twin was killed in the middle of writing, it stays where it was."""
+    last = read()
+
+    def look() -> MirrorReading:
+        nonlocal last
+        with contextlib.suppress(RuntimeError):
+            last = read()
+        return last
+
+    return look
 
 
 def build(arguments: argparse.Namespace) -> Twin:
     """Put the twin together; from here on it answers on the network."""
     netns.require_private_network()
     scene = load_scene(arguments.scene, seed=arguments.seed)
-    if arguments.mirror:
-        look = MirrorState.open(arguments.mirror).read
-    else:
-        still = MirrorReading(arguments.step, 0, 0, 0, 0, 0)
-        look = lambda: still  # noqa: E731
+    still = MirrorReading(arguments.step, 0, 0, 0, 0, 0)
+    look = _survivor(MirrorState.open(arguments.mirror).read) if arguments.mirror else lambda: still
     triggers = None
     if arguments.trigger_socket:
         triggers = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         triggers.bind(arguments.trigger_socket)
     listener = gvcp.Listener()
     camera = FakeCamera(ADDRESS, arguments.serial, GENICAM)
-    power_on(camera)
+    registers.power_on(camera)
     finished: queue.SimpleQueue[tuple[int, Exposed]] = queue.SimpleQueue()
     sensor = Sensor(look, lambda: finished.qsize() < MEMORY_FRAMES)
     return Twin(camera, scene, sensor, finished, listener, triggers)
+
+
+def _die(broken: threading.ExceptHookArgs) -> None:
+    """A camera with a dead thread is worse than a dead camera."""
+    sys.excepthook(broken.exc_type, broken.exc_value or broken.exc_type(), broken.exc_traceback)
+    os._exit(70)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -262,6 +232,7 @@ def main() -> int:
         sys.stderr.write(f"error: {error}\n")
         return 1
     gc.freeze()
+    threading.excepthook = _die
     twin.run()
     sys.stdout.write(f"ready {ADDRESS}\n")
     sys.stdout.flush()

@@ -81,11 +81,12 @@ def run(command: Sequence[str]) -> None:
     """Replace this process by `command` in a private network, a new one unless it already is in one.
 
     Raises:
-        NamespaceNotPermitted: no namespace can be made.
+        RuntimeError: no namespace can be made (`NamespaceNotPermitted`), or it is not private.
         OSError: the command cannot be started.
     """
     if not in_private_network():
         enter()
+        require_private_network()
     sys.stdout.flush()
     sys.stderr.flush()
     os.execvp(command[0], list(command))
@@ -138,7 +139,7 @@ def main() -> int:
         return 2
     try:
         run(command)
-    except NamespaceNotPermitted as error:
+    except RuntimeError as error:  # NamespaceNotPermitted, above all
         sys.stderr.write(f"error: {error}\n")
         return 77
     except OSError as error:

@@ -32,9 +32,10 @@ def pack(pixels: Image, pixel_format: int) -> NDArray[np.uint8]:
 
 def _pack_mono12(flat: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """GigE Vision Mono12Packed: two pixels in three bytes, p0[11:4], p1[3:0] p0[3:0], p1[11:4]."""
-    first, second = flat[0::2], flat[1::2]
+    octets = flat.view(np.uint8).reshape(-1, 4)  # of two little-endian pixels
+    upper = (flat >> 4).astype(np.uint8).reshape(-1, 2)
     packed = np.empty((flat.size // 2, 3), np.uint8)
-    np.right_shift(first, 4, out=packed[:, 0], casting="unsafe")
-    np.right_shift(second, 4, out=packed[:, 2], casting="unsafe")
-    packed[:, 1] = (first & 0x0F) | ((second & 0x0F) << 4)
+    packed[:, 0] = upper[:, 0]
+    packed[:, 1] = (octets[:, 0] & 0x0F) | (octets[:, 2] << 4)
+    packed[:, 2] = upper[:, 1]
     return packed.reshape(-1)
