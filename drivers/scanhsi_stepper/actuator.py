@@ -217,7 +217,7 @@ class StepperActuator:
 
     async def _run(self, link: StepperLink, command: str, goal: int | None, expected_s: float) -> Finished:
         """Do one motion; `goal` is where it has to end (None = wherever)."""
-        finished = await run_motion(link, command, expected_s + self._options.motion_margin_s)
+        finished = await run_motion(link, command, expected_s, self._options.motion_margin_s)
         self._position = finished.position
         if not finished.reached or (goal is not None and finished.position != goal):
             raise fail_error(finished.code, finished.position, self._options.port, command)

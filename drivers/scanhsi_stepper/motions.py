@@ -39,10 +39,11 @@ class Finished:
     began_ns: int
 
 
-async def run_motion(link: StepperLink, command: str, limit_s: float) -> Finished:
+async def run_motion(link: StepperLink, command: str, expected_s: float, margin_s: float) -> Finished:
     """Begin a motion and wait for its end.
 
-    A lost DONE is made up for by asking. Beyond `limit_s` the motor is stopped.
+    A lost DONE is made up for by asking: soon after `expected_s` (its duration, or a bound of it), and every half second.
+    `margin_s` after that the motor is stopped.
 
     Raises:
         DeviceTimeout: It did not end in time; it was told to stop.
@@ -50,23 +51,26 @@ async def run_motion(link: StepperLink, command: str, limit_s: float) -> Finishe
     """
     running = await link.start(command)
     try:
-        finished = await _end_of(link, running, limit_s)
+        finished = await _end_of(link, running, expected_s, margin_s)
     finally:
         link.forget(running)
     if finished is not None:
         return finished
     await link.request("S")
     raise DeviceTimeout(
-        "the motion does not end; it was stopped.", device=device_name(link.port), operation=command, waited_s=limit_s
+        "the motion does not end; it was stopped.",
+        device=device_name(link.port),
+        operation=command,
+        waited_s=expected_s + margin_s,
     )
 
 
-async def _end_of(link: StepperLink, running: Running, limit_s: float) -> Finished | None:
-    deadline = running.confirmed_ns + round(limit_s * 1e9)
+async def _end_of(link: StepperLink, running: Running, expected_s: float, margin_s: float) -> Finished | None:
+    deadline = running.confirmed_ns + round((expected_s + margin_s) * 1e9)
+    patience_s = min(_POLL_S, expected_s + link.reply_timeout_s)
     while (left_ns := deadline - now_ns()) > 0:
-        await asyncio.wait(
-            {running.end}, timeout=min(_POLL_S, left_ns / 1e9)
-        )  # unlike timeout(), leaves the future alone
+        await asyncio.wait({running.end}, timeout=min(patience_s, left_ns / 1e9))  # does not cancel the future
+        patience_s = _POLL_S
         status = None if running.end.done() else await read_status(link)
         if running.end.done():
             return _from_event(running)
