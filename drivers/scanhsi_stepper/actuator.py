@@ -23,6 +23,7 @@ from scanhsi_stepper.link import Counters, StepperLink
 from scanhsi_stepper.motions import Finished, halt, run_motion
 from scanhsi_stepper.options import StepperOptions
 from scanhsi_stepper.port import close_port, open_port
+from scanhsi_stepper.protocol import SEQ_MAX, encode
 from scanhsi_stepper.ramp import Profile, move_time_s
 from scanhsi_stepper.sweeps import SweepPlan, plan_sweep
 
@@ -30,6 +31,7 @@ FIRMWARE = "scanhsi-stepper"
 FIRMWARE_VERSION = 1
 _IDENTIFY_EVERY_S = 0.25
 _CLOSE_S = 1.0
+_UNDERSTAND_S = 0.5e-3  # host scheduling (0.2 ms) and the firmware's parsing (0.3 ms)
 _LATCH_SPEED = 500  # of the firmware's homing
 _WINDOW_STEPS = 400  # generous width of a home index, for the deadline of homing
 
@@ -239,6 +241,12 @@ class StepperActuator:
     def check_sweep(self, sweep: Sweep) -> Sweep:
         """Refuse a sweep that cannot be done; return it with the rate in whole steps/s, rounded down."""
         return plan_sweep(sweep, self._options).sweep
+
+    def run_up_s(self, sweep: Sweep) -> float:
+        """Time from the call of `sweep` until the mirror passes ``first``: the request on the wire, then the ramp."""
+        plan = plan_sweep(sweep, self._options)
+        request_s = len(encode(SEQ_MAX, plan.command)) * 10 / self._options.baud
+        return request_s + _UNDERSTAND_S + plan.run_up_s
 
     async def prepare_sweep(self, sweep: Sweep) -> Motion:
         """Move to the start of the run-up and set the sweep's speed."""
