@@ -76,6 +76,7 @@ def test_a_signal_handler_is_called(way: Callable[[], Awaitable[None]], virtual:
         await drain.wait()
         task.cancel()
         await asyncio.wait([task])
+        assert task.cancelled()
         return "drained"
 
     assert clock.run(main(), virtual=virtual) == "drained"

@@ -67,6 +67,18 @@ def test_it_still_ticks_at_the_end_of_its_range() -> None:
     assert 0 <= late - 9_999_999_000_000_000 <= 200  # floats are 1.9 ns apart here
 
 
+def test_a_time_that_floats_cannot_hold_to_the_ns_does_not_stop_the_clock() -> None:
+    """This ns as s and back is 1 ns less: a time before its own timer, at which asyncio would never run it."""
+    when_ns = 4290002_735993259
+    assert round(when_ns / 1e9 * 1e9) < when_ns
+
+    async def main() -> int:
+        await clock.sleep_until_ns(when_ns)
+        return clock.now_ns()
+
+    assert clock.run_virtual(main(), start=4290000.0) - when_ns in (0, 1)
+
+
 @pytest.mark.parametrize("delay", [1e7, 1e9, math.inf])
 def test_a_sleep_beyond_the_range_is_for_ever(delay: float) -> None:
     with pytest.raises(VirtualDeadlock):
@@ -74,14 +86,15 @@ def test_a_sleep_beyond_the_range_is_for_ever(delay: float) -> None:
 
 
 def test_timers_one_ns_apart_are_kept_apart() -> None:
-    async def main() -> list[int]:
+    async def main(instants: list[int]) -> list[int]:
         loop, log = virtual_loop(), []
-        for ns in (3, 1, 2):
-            loop.call_at(5.0 + ns * 1e-9, lambda: log.append(loop.time_ns() - 5_000_000_000))
+        for ns in instants:
+            loop.call_at(ns / 1e9, lambda: log.append(loop.time_ns()))
         await asyncio.sleep(6)
         return log
 
-    assert clock.run_virtual(main()) == [1, 2, 3]
+    instants = [*range(2000), *range(5_000_000_000, 5_000_002_000)]
+    assert clock.run_virtual(main(instants[::-1])) == instants
 
 
 def test_times_equal_but_for_rounding_are_one_instant() -> None:
@@ -191,7 +204,8 @@ def test_results_arrive_in_order_of_submission_one_at_a_time(inline: bool) -> No
     assert clock.run_virtual(main(), inline=inline) == ["slow", "slow!", "quick", "quick!"]
 
 
-def test_a_due_timer_goes_before_a_job_that_is_done() -> None:
+@pytest.mark.parametrize("inline", [False, True])
+def test_a_due_timer_goes_before_a_job_that_is_done(inline: bool) -> None:
     async def main() -> list[str]:
         log: list[str] = []
         loop = virtual_loop()
@@ -203,7 +217,7 @@ def test_a_due_timer_goes_before_a_job_that_is_done() -> None:
         await job
         return log
 
-    assert clock.run_virtual(main()) == ["ran", "timer", "job"]
+    assert clock.run_virtual(main(), inline=inline) == ["ran", "timer", "job"]
 
 
 def test_the_clock_waits_for_a_job_whose_future_was_cancelled() -> None:
@@ -376,3 +390,25 @@ def test_eager_tasks_work() -> None:
         return clock.now_ns()
 
     assert clock.run_virtual(main()) == 2_000_000_000
+
+
+def test_a_thread_that_lets_go_between_two_looks_is_not_missed() -> None:
+    """The callback comes just after the loop saw no event, and the hold is gone just before the loop looks for one."""
+
+    async def main() -> list[int]:
+        loop, log = virtual_loop(), []
+        held, poll = loop.hold(), loop._hooked.poll
+        held.__enter__()
+
+        def poll_and_be_overtaken(timeout: float | None):
+            loop._hooked.poll = poll
+            events = poll(timeout)
+            loop.call_soon_threadsafe(lambda: log.append(loop.time_ns()))
+            held.__exit__(None, None, None)
+            return events
+
+        loop._hooked.poll = poll_and_be_overtaken
+        await asyncio.sleep(1000)
+        return log
+
+    assert clock.run_virtual(main()) == [0]
