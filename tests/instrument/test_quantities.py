@@ -56,7 +56,7 @@ def test_a_name_with_a_unit_takes_a_bare_number() -> None:
 @pytest.mark.parametrize(
     ("data", "key", "fragment"),
     [
-        ({"exposure": 100}, "exposure", 'has no unit; write a number with one of the units ns, us, µs, μs, ms, s, min, for'),
+        ({"exposure": 100}, "exposure", 'has no unit; write a number with one of the units ns, us, µs, ms, s, min, for'),
         ({"exposure": "100"}, "exposure", "has no unit"),
         ({"exposure": True}, "exposure", "has no unit"),
         ({"exposure_s": True}, "exposure_s", "is not a quantity"),

@@ -28,15 +28,6 @@ EXIT_CODES: Final = (
     "overwritten; 70 a bug in scanhsi; 130 interrupted"
 )
 
-_CODES: Final = """\
-0 done
-1 the scan ended early or lost lines; what was stored is safe
-2 wrong command line, instrument file or plan; nothing was moved
-3 a device is missing, busy, lost or fails
-4 a cube or picture cannot be written or read; nothing was overwritten
-70 a bug in scanhsi: please report it
-130 interrupted"""
-
 _CODES: Final[tuple[tuple[type[BaseException], ExitCode], ...]] = (
     (errors.ScanFailed, ExitCode.SCAN_FAILED),
     (errors.ConfigError, ExitCode.USAGE),

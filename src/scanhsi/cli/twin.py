@@ -20,7 +20,10 @@ def twin(
         list[str] | None,
         typer.Argument(metavar="[-- COMMAND...]", help="What to run beside the twins; a shell without it."),
     ] = None,
-    scene: Annotated[str, typer.Option(help="What the camera twin looks at.")] = "testpattern",
+    scene: Annotated[
+        str, typer.Option(help="What the camera twin looks at: testpattern, hand, white or dark.")
+    ] = "testpattern",
+    seed: Annotated[int, typer.Option(help="Seed of the scene and of the camera's noise.")] = 0,
 ) -> None:
     """Start twins of the GigE Vision camera and of the stepper, for the real drivers to talk to without hardware.
 
@@ -36,4 +39,4 @@ def twin(
             "the twins are not installed: no package offers the command 'twin'", hint="install scanhsi_sim."
         )
     run = points["twin"].load()
-    raise typer.Exit(int(run(command or None, scene=scene)))
+    raise typer.Exit(int(run(command or None, scene=scene, seed=seed)))

@@ -77,7 +77,11 @@ class Unit:
         return PydanticCustomError(
             "quantity",
             "{fault}; write a number with one of the units {units}, for example {example}",
-            {"fault": fault, "units": ", ".join(self.factors), "example": f'"{self.examples[0]}"'},
+            {
+                "fault": fault,
+                "units": ", ".join(unit for unit in self.factors if not unit.startswith("μ")),
+                "example": f'"{self.examples[0]}"',
+            },
         )
 
     def __get_pydantic_core_schema__(self, source: type[Any], handler: GetCoreSchemaHandler) -> CoreSchema:
