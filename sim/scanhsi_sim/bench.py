@@ -36,12 +36,13 @@ class Mirror:
 
     def halt(self, now_ns: int) -> int:
         """Stop at once, at the nearest step, which is returned."""
-        step = round(self.position(now_ns))
+        place = self.position(now_ns)
+        step = round(place)
         keep = bisect.bisect_right(self._times, now_ns)
         if keep < len(self._times):
             del self._times[keep:], self._steps[keep:]
-            self._times.append(now_ns)
-            self._steps.append(step)
+            self._times += [now_ns, now_ns]
+            self._steps += [place, step]
         return step
 
     def position(self, when_ns: int) -> float:

@@ -7,6 +7,7 @@ triggers are the twin's own (`scanhsi_sim.twins.sensor`).
 import ctypes
 import os
 import shutil
+import socket
 import subprocess
 import tempfile
 import threading
@@ -15,6 +16,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scanhsi_sim.twins.gvcp import PORT as GVCP_PORT
 
 _HERE = Path(__file__).parent
 _FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
@@ -40,6 +43,7 @@ class FakeCamera:
             MissingRequirement: no libaravis, or no C compiler.
             OSError: the address or its GVCP port is not free.
         """
+        _check_free(address)
         event_poll = _load_event_poll()
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         ctypes.c_int.in_dll(event_poll, "event_poll_fd").value = self._wake
@@ -126,6 +130,16 @@ class FakeCamera:
             self.sent += not lost
         self._gobject.g_object_set(self._camera, b"gvsp-lost-ratio", ctypes.c_double(lost), None)
         self._taken.set()
+
+
+def _check_free(address: str) -> None:
+    """Aravis does not tell when its port is taken."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((address, GVCP_PORT))
+        except OSError as error:
+            where = f"{address} port {GVCP_PORT}"
+            raise OSError(f"no camera twin at {where}: {error.strerror}. Is one running already?") from error
 
 
 def _load_aravis() -> ctypes.CDLL:

@@ -87,7 +87,11 @@ async def _run(command: Sequence[str] | None, rig: TwinRig) -> int:
 
 async def _beside(command: Sequence[str], rig: TwinRig, stop: asyncio.Event) -> int:
     """Run the command; return its exit code. `stop` ends it early."""
-    process = await asyncio.create_subprocess_exec(*command, preexec_fn=_obey_interrupts)
+    try:
+        process = await asyncio.create_subprocess_exec(*command, preexec_fn=_obey_interrupts)
+    except OSError as error:
+        _fail(f"cannot run {command[0]!r}: {error.strerror}")
+        return 127
     ended = asyncio.create_task(process.wait())
     stopped = asyncio.create_task(stop.wait())
     watchers = [asyncio.create_task(_tell_end(rig.camera.wait_ended(), "camera"))]
