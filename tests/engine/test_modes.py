@@ -15,6 +15,7 @@ from scanhsi.cube.records import LineStatus
 from scanhsi.devices import CameraSettings, Exposure, PixelFormat, Trigger
 from scanhsi.devices.errors import DeviceError, DeviceLost, OutOfRange, ScanFailed
 from scanhsi.engine import Course, Mode, ScanReport, run_scan
+from scanhsi.engine.run import CAMERA_BUFFERS
 from support.bench import Bench, BenchActuator, BenchCamera, MemorySink
 
 LINES = 12
@@ -134,6 +135,14 @@ def test_slow_writer_holds_the_trigger_and_loses_nothing() -> None:
     assert report.stored == 40
     assert sink.most_in_memory == 4
     assert report.period_s == pytest.approx(0.100, rel=0.1)
+
+
+def test_slow_unpacking_holds_the_trigger_before_the_cameras_buffers_run_out() -> None:
+    bench, sink = Bench(copy_ms=100), MemorySink(capacity=100)
+    report = scan(Mode.STEPPED, bench, sink, lines=60)
+    assert report.stored == 60
+    assert sink.most_in_memory <= CAMERA_BUFFERS + 1
+    assert report.period_s == pytest.approx(0.100, rel=0.3)
 
 
 def test_slow_writer_costs_a_sweep_lines_which_are_counted() -> None:

@@ -68,8 +68,8 @@ async def _expose(scan: Scan, line: int) -> None:
 
 
 async def _credit(scan: Scan, line: int) -> None:
-    """Wait for a free line buffer: the trigger waits for it, so that a slow writer costs time and never a line."""
-    if not scan.credits.has(line):
+    """Wait for free buffers: the trigger waits for them, so that a slow writer costs time and never a line."""
+    if not scan.credits.may_expose(line):
         async with Deadline(scan.deadlines.store_s, "wait for a line buffer", device="storage", line=line):
             await scan.credits.wait(line)
 

@@ -100,6 +100,7 @@ async def take(scan: Scan, frame: Frame, line: int) -> None:
 def hand_on(scan: Scan, line: int) -> None:
     """A line is received, or given up: on to storage."""
     scan.taken = line + 1
+    scan.credits.unpacked(line)
     scan.filled.put_nowait(line)
     scan.tell()
 
@@ -109,7 +110,7 @@ async def write_lines(scan: Scan) -> None:
     while (line := await scan.filled.get()) is not None:
         async with Deadline(scan.deadlines.store_s, "store", device="storage", line=line):
             safe = await scan.sink.append(line)
-        scan.credits.advance(safe)
+        scan.credits.safe(safe)
         scan.handed_over.release()
     async with Deadline(scan.deadlines.store_s, "store", device="storage"):
-        scan.credits.advance(await scan.sink.flush())
+        scan.credits.safe(await scan.sink.flush())

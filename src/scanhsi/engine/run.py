@@ -76,7 +76,7 @@ async def run_scan(
         sink=sink,
         records=LineRecords(course.lines),
         deadlines=deadlines(camera.info, actuator.info, course.settings.exposure_s, course.stride),
-        credits=Credits(sink.capacity),
+        credits=Credits(camera=CAMERA_BUFFERS, storage=sink.capacity),
         stop=stop or asyncio.Event(),
         on_progress=on_progress,
     )

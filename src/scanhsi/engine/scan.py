@@ -18,30 +18,45 @@ PROGRESS_INTERVAL_NS = 250_000_000
 
 
 class Credits:
-    """The window of lines that may be in memory: ``safe <= line < safe + capacity``.
+    """Which lines may be exposed: those that find a buffer in the camera and one in storage, whatever goes on behind.
 
-    Lines become safe in order, so one number is the whole state. One waiter: control.
+    Lines are unpacked in order and become safe in order, so two numbers are the whole state. One waiter: control.
+
+    Args:
+        camera: Frame buffers of the camera: a line needs one from its trigger until it is unpacked.
+        storage: Line buffers of the sink: a line needs one from there until it is safe.
     """
 
-    def __init__(self, capacity: int) -> None:
-        self.capacity = capacity
-        self.safe = 0
+    def __init__(self, camera: int, storage: int) -> None:
+        self._camera = camera
+        self._storage = storage
+        self._unpacked = 0
+        self._safe = 0
         self._advanced = asyncio.Event()
 
-    def has(self, line: int) -> bool:
-        """Whether there is a buffer for ``line`` now."""
-        return line < self.safe + self.capacity
+    def may_store(self, line: int) -> bool:
+        """Whether there is a line buffer for ``line`` now."""
+        return line < self._safe + self._storage
+
+    def may_expose(self, line: int) -> bool:
+        """Whether nothing that ``line`` needs can be missing when its frame comes."""
+        return line < self._unpacked + self._camera and self.may_store(line)
 
     async def wait(self, line: int) -> None:
-        """Wait until there is one."""
-        while not self.has(line):
+        """Wait until ``line`` may be exposed."""
+        while not self.may_expose(line):
             self._advanced.clear()
             await self._advanced.wait()
 
-    def advance(self, lines: range) -> None:
-        """These lines are safe: their buffers are free again."""
+    def unpacked(self, line: int) -> None:
+        """The camera's buffer of ``line`` is free again."""
+        self._unpacked = line + 1
+        self._advanced.set()
+
+    def safe(self, lines: range) -> None:
+        """The line buffers of these lines are free again."""
         if len(lines):
-            self.safe = lines.stop
+            self._safe = lines.stop
             self._advanced.set()
 
 

@@ -97,7 +97,7 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
 
 
 async def _take_or_drop(scan: Scan, frame: Frame, line: int, sweep: Sweep) -> int:
-    if not scan.credits.has(line):
+    if not scan.credits.may_store(line):
         return _lose(scan, range(line, line + 1), "no free line buffer: storage was too slow for this sweep")
     if not line:
         scan.begun_ns = frame.exposure_start_ns or frame.received_ns

@@ -106,7 +106,7 @@ def _elapsed(first: NDArray[np.int64], last: NDArray[np.int64]) -> NDArray[np.in
 
 
 def _summary(values: NDArray[np.int64]) -> StageTime:
-    p50, p99 = np.percentile(values, [50, 99])
+    p50, p99 = np.percentile(values, [50, 99]).tolist()
     return StageTime(
         mean_s=float(values.mean()) * 1e-9, p50_s=p50 * 1e-9, p99_s=p99 * 1e-9, max_s=float(values.max()) * 1e-9
     )
