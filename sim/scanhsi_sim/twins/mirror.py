@@ -60,8 +60,9 @@ class MirrorState:
         with Path(path).open("rb") as file:
             memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         if len(memory) != _LAYOUT.size:
+            length = len(memory)
             memory.close()
-            raise ValueError(f"{path} is not a mirror file: its length is {len(memory)}, not {_LAYOUT.size} bytes")
+            raise ValueError(f"{path} is not a mirror file: its length is {length}, not {_LAYOUT.size} bytes")
         return cls(memory)
 
     def read(self) -> MirrorReading:

@@ -58,8 +58,9 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Controller]:
 def test_backend_is_found_by_its_entry_point_and_can_sweep() -> None:
     assert find(Role.ACTUATOR, "stepper") is backend
     assert backend.capabilities == ("Sweeps",)
-    assert issubclass(StepperActuator, Actuator)
     assert issubclass(StepperActuator, Sweeps)
+    checked_by_pyright: type[Actuator] = StepperActuator
+    assert checked_by_pyright is backend.device
 
 
 def test_options_are_checked() -> None:

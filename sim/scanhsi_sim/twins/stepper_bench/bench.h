@@ -91,6 +91,8 @@ void publish_trigger(int64_t position, int64_t host_ns);
 bool triggers_open(const char *socket_path, bool stream);
 void triggers_stream(bool on);
 void triggers_fire(int64_t position, uint64_t cycle);
+void triggers_flush(void); /* what a late reader has left no room for */
+bool triggers_are_waiting(void);
 uint64_t triggers_lost(void); /* datagrams that nobody took */
 
 /* --- serial.c: the pty and the wire ------------------------------------------------------------------------------ */

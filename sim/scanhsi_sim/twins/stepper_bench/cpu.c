@@ -131,8 +131,8 @@ void cpu_reset(enum reset_cause cause, uint64_t deaf_cycles)
     avr_cycle_timer_register(avr, TICK_CYCLES, tick, NULL);
     deaf_until = avr->cycle + deaf_cycles;
     mirror_enable_pin(false); /* pull-down inside the DRV8825: powered while nobody drives the pin */
-    cpu_set_home_sensor(false);
-    mirror_put(mirror_position()); /* sets the sensor as it really is */
+    cpu_set_home_sensor(true); /* reset has cleared the pin, but an unchanged level is not passed on: change it, ... */
+    mirror_put(mirror_position()); /* ... then set it as it really is */
 }
 
 bool cpu_run_until(uint64_t cycle)

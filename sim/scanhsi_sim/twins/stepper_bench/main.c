@@ -83,7 +83,7 @@ static bool run_to_present(void)
 
 static bool is_active(void)
 {
-    return serial_is_busy() || (mirror_stats.last_step && cpu_cycle() - mirror_stats.last_step < ACTIVE_CYCLES);
+    return serial_is_busy() || triggers_are_waiting() || (mirror_stats.last_step && cpu_cycle() - mirror_stats.last_step < ACTIVE_CYCLES);
 }
 
 static int loop(void)
@@ -100,6 +100,7 @@ static int loop(void)
             serial_reset();
             cpu_reset(RESET_EXTERNAL, CPU_HZ / 1000 * (uint64_t)options.auto_reset_ms);
         }
+        triggers_flush();
         serial_read();
         if (wait[0].revents && control_read() == CONTROL_QUIT)
             return 0;
