@@ -117,6 +117,7 @@ def test_format(value: float, unit: str, text: str) -> None:
 def test_format_rounds_when_asked() -> None:
     assert format_quantity(0.0251345, "s", digits=4) == "25.13 ms"
     assert format_quantity(0.00099999, "s", digits=3) == "1 ms"
+    assert format_quantity(31_171, "B", digits=3) == "30.4 KiB"
 
 
 @given(st.floats(min_value=1e-12, max_value=1e9))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import sys
 from collections.abc import Sequence
@@ -97,7 +98,7 @@ def run(args: Sequence[str]) -> int:
     except BrokenPipeError:  # whoever read stdout has enough
         sys.stderr.close()
         return ExitCode.OK
-    except (Exception, KeyboardInterrupt) as error:
+    except (Exception, KeyboardInterrupt, asyncio.CancelledError) as error:
         if isinstance(error, _UsageError):
             return _show_usage_error(error, as_json)
         return show_error(error, as_json=as_json, debug=logging.getLogger().isEnabledFor(logging.DEBUG))

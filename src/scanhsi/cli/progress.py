@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 _BAR_PERIOD_S: Final = 0.25
 _LINE_PERIOD_S: Final = 5.0
 
-OnProgress = "Callable[[Progress], None]"
-
 
 @contextmanager
 def shown(console: Console) -> Generator[Callable[[Progress], None]]:
@@ -55,20 +53,21 @@ def _bar(console: Console) -> Generator[Callable[[Progress], None]]:
 
     bars = Bars(
         BarColumn(bar_width=None),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} lines  {task.fields[facts]}", markup=False),
+        TextColumn("{task.fields[facts]}", markup=False),
         console=console,
         auto_refresh=False,
         expand=True,
     )
     with bars:
-        task = bars.add_task("", total=None, facts="")
+        task = bars.add_task("", total=None, facts="homing")
 
         def show(progress: Progress) -> None:
+            done = progress.taken + progress.missing
             facts = (
-                f"{progress.lines_per_second:.1f} lines/s  efficiency {progress.efficiency:.1%}  "
-                f"{clock(progress.remaining_s)} left  {progress.missing} lost"
+                f"{done}/{progress.lines} lines  {progress.lines_per_second:.1f} lines/s  "
+                f"efficiency {progress.efficiency:.1%}  {clock(progress.remaining_s)} left  {progress.missing} lost"
             )
-            bars.update(task, total=progress.lines, completed=progress.taken + progress.missing, facts=facts)
+            bars.update(task, total=progress.lines, completed=done, facts=facts)
             bars.refresh()
 
         yield show

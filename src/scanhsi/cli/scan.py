@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -100,6 +101,10 @@ async def _scan(config: InstrumentConfig, overrides: dict[str, Any], output: Pat
                 interrupt.scanning = True
                 try:
                     return await imager.scan(plan, output, on_progress=show, stop=interrupt.stop)
+                except asyncio.CancelledError:
+                    if output is not None:
+                        tell(f"what was stored before is safe: scanhsi info {output}")
+                    raise
                 finally:
                     interrupt.scanning = False
 

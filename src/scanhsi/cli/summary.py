@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -77,7 +78,7 @@ def bound(bound_s: float | None, regret: float | None) -> str | None:
 
 def duration(seconds: float) -> str:
     """A time to four digits, in the unit that fits."""
-    return format_quantity(seconds, "s", digits=4) if seconds == seconds else "unknown"
+    return format_quantity(seconds, "s", digits=4) if math.isfinite(seconds) else "unknown"
 
 
 def _result(report: ScanReport) -> Text:

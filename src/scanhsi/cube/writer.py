@@ -122,6 +122,8 @@ class CubeWriter:
             RuntimeError: The line has been appended, or its buffer still holds a line that is not safe: the caller has more
                 than `capacity` lines in flight.
         """
+        if not self._buffers:
+            raise RuntimeError("the cube is not open")
         if not self._next <= line < self._spec.lines:
             raise RuntimeError(
                 f"line {line} is not one to be filled; the next one is {self._next} of {self._spec.lines}"
@@ -142,7 +144,9 @@ class CubeWriter:
             RuntimeError: Not the next line in order.
         """
         self._raise_failure()
-        if line != self._next or line >= self._spec.lines or not self._buffers:
+        if not self._buffers:
+            raise RuntimeError("the cube is not open")
+        if line != self._next or line >= self._spec.lines:
             raise RuntimeError(f"line {line} cannot be appended; the next one is {self._next} of {self._spec.lines}")
         self._take(line)
         if self._next % self._layout.lines_per_shard == 0 or self._next == self._spec.lines:

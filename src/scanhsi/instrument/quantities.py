@@ -209,16 +209,19 @@ def format_quantity(value: float, unit: str, *, digits: int | None = None) -> st
     """Write a quantity for people: ``format_quantity(0.1, "s")`` is ``"100 ms"``.
 
     Args:
-        value: In ``unit``.
+        value: In ``unit``, finite.
         unit: ``"s"``, ``"m"``, ``"dB"``, ``"B"`` or ``"steps"``.
         digits: Significant digits to round to; None writes every digit, so that parsing gives ``value`` back exactly.
     """
     kind = _UNITS[unit]
-    exact = Decimal(repr(value)) if digits is None else Decimal(f"{value:.{digits}g}")
+    exact = Decimal(repr(value))
+    shown = exact if digits is None else Decimal(f"{value:.{digits}g}")
     best = kind.shown[0] if value else kind.name
     for name in kind.shown:
         factor = kind.factors[name]
-        if abs(exact) >= factor and not (kind.whole and digits is None and exact % factor):
+        if abs(shown) >= factor and not (kind.whole and digits is None and exact % factor):
             best = name
     number = exact / kind.factors[best]
+    if digits is not None:
+        number = Decimal(f"{number:.{digits}g}")
     return f"{number.normalize():f} {best}"

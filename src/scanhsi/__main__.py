@@ -1,0 +1,5 @@
+"""``python -m scanhsi``: the same as ``scanhsi``."""
+
+from scanhsi.cli import main
+
+main()
