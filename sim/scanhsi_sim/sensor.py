@@ -23,6 +23,7 @@ PRNU = 0.01
 _HOT_SHARE = 2e-5
 _BANK = 1 << 22
 _ROWS = 32  # a block of these rows stays in the cache through all the operations on it
+_SMALL_PRODUCT = 1 << 18  # multiplications up to which OpenBLAS uses one thread
 
 Floats = NDArray[np.floating[Any]]
 
@@ -76,7 +77,7 @@ class Sensor:
         response, dark = self._response[here], self._dark[here]
         for first in range(0, bands, _ROWS):
             rows = slice(first, first + _ROWS)
-            electrons = columns[rows] @ light
+            electrons = _product(columns[rows], light)
             electrons *= response[rows]
             electrons += dark[rows] * np.float32(exposure_s)
             np.clip(electrons, 0, FULL_WELL_E, out=electrons)
@@ -94,3 +95,17 @@ class Sensor:
         rng = np.random.Generator(np.random.Philox(key=self._seed, counter=index << 64))
         start = int(rng.integers(0, self._bank.size - pixels + 1))
         return self._bank[start : start + pixels]
+
+
+def _product(columns: Floats, weights: Floats) -> Floats:
+    """``columns @ weights`` in pieces that OpenBLAS computes in the calling thread.
+
+    Its own threads wait for each other by spinning: beside a busy program a product of a millisecond took half a second.
+    """
+    rows, depth = columns.shape
+    width = max(1, _SMALL_PRODUCT // (rows * depth))
+    product = np.empty((rows, weights.shape[1]), np.float32)
+    for first in range(0, weights.shape[1], width):
+        piece = slice(first, first + width)
+        np.matmul(columns, weights[:, piece], out=product[:, piece])
+    return product
