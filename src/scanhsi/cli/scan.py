@@ -44,20 +44,27 @@ def scan(
     pixel_format: Annotated[
         str | None, typer.Option(metavar="FORMAT", help="Mono8, Mono12Packed, Mono12 or Mono16.")
     ] = None,
+    period: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="Line period of a continuous scan; default: the shortest safe one."),
+    ] = None,
     virtual: Annotated[
         bool, typer.Option("--virtual", help="Run in virtual time: exact, and as fast as it can be computed.")
     ] = False,
     seed: Annotated[int | None, typer.Option(help="Seed of the simulated devices.")] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the instrument file for this scan; repeatable."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Set a key of the instrument file for this scan, as camera.scene=white; repeatable.",
+        ),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
 ) -> None:
-    """Scan a cube.
+    """Scan a cube. What is not given comes from the instrument file.
 
-    What is not given comes from the [scan] table of the instrument file. The first Ctrl-C finishes the line and closes the cube,
-    the second cancels.
+    The first Ctrl-C finishes the line and closes the cube, the second cancels the line, too.
 
     [bold]Example[/]: scanhsi scan sensors2019 -o hand.zarr --lines 300 --exposure "20 ms"
 
@@ -81,6 +88,7 @@ def scan(
         "exposure": exposure,
         "gain": gain,
         "pixel_format": pixel_format,
+        "period": period,
     }
     overrides = {name: value for name, value in given.items() if value is not None}
     report = clock.run(_scan(config, overrides, output), virtual=virtual)

@@ -18,16 +18,16 @@ def register(app: typer.Typer) -> None:
 def twin(
     command: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[-- COMMAND...]", help="What to run beside the twins; a shell without it."),
+        typer.Argument(metavar="COMMAND", help="After --: what to run beside the twins; a shell without it."),
     ] = None,
     scene: Annotated[
         str, typer.Option(help="What the camera twin looks at: testpattern, hand, white or dark.")
     ] = "testpattern",
     seed: Annotated[int, typer.Option(help="Seed of the scene and of the camera's noise.")] = 0,
 ) -> None:
-    """Start twins of the GigE Vision camera and of the stepper, for the real drivers to talk to without hardware.
+    """Start twins of camera and stepper: something for the real drivers to talk to without hardware.
 
-    Both run in a private network with nothing in it but loopback, and so does the command. It ends with the command's exit code.
+    They and the command run in a private network with nothing in it but loopback. The exit code is the command's.
 
     [bold]Example[/]: scanhsi twin -- scanhsi scan twin -o OUT
     """
