@@ -36,8 +36,8 @@ Ts = TypeVarTuple("Ts")
 
 CONTROL_RETRY_S = 4.0
 """How long ``connect`` tries to get control: a camera lets go of a program that died after 3 s without heartbeat."""
-ANSWER_S = 2.5
-"""How long Aravis asks a camera that does not answer: five times 0.5 s."""
+ANSWER_S = 5.0
+"""Longest time that Aravis asks a camera that does not answer: five times 0.5 s, after a heartbeat that did the same."""
 
 log = structlog.get_logger(__name__)
 
@@ -82,9 +82,10 @@ class AravisCamera:
         self._control = ThreadPoolExecutor(1, "aravis-control")
         self._worker = ThreadPoolExecutor(1, "aravis-unpack")
         loop = asyncio.get_running_loop()
+        started_s = loop.time()
         try:
             await self._call(self._session.open, partial(_post, loop, self._control_lost))
-            await self._take_control()
+            await self._take_control(started_s)
             info, self._settings = await self._call(self._session.describe)
         except DeviceError:
             await self.close()
@@ -104,11 +105,9 @@ class AravisCamera:
         self._control = self._worker = None
         self._info = self._settings = self._lost = self._period_s = None
 
-    async def _take_control(self) -> None:
-        loop = asyncio.get_running_loop()
-        started = loop.time()
+    async def _take_control(self, started_s: float) -> None:
         while not await self._call(self._session.take_control):
-            waited_s = loop.time() - started
+            waited_s = asyncio.get_running_loop().time() - started_s
             if waited_s >= CONTROL_RETRY_S:
                 raise DeviceBusy(
                     "another program controls it.",
@@ -190,18 +189,20 @@ class AravisCamera:
 
     async def disarm(self) -> None:
         """Stop exposing; exposures whose frame has not come end as gaps."""
-        watcher, armed = self._watcher, self._armed
+        armed = self._armed
+        if armed is None:
+            return
         try:
-            if watcher is not None:
-                watcher.cancel()
-                await asyncio.wait([watcher])
-                self._watcher = None
-            if self._control is not None:
-                await self._run(partial(self._session.stop, lost=self._lost is not None))
-                self._armed = None
+            if self._watcher is not None:
+                self._watcher.cancel()
+                await asyncio.wait([self._watcher])
+            await self._run(partial(self._session.stop, lost=self._lost is not None))
+        except DeviceLost as error:
+            self._fail(error)
+            raise
         finally:
-            if armed is not None:
-                armed.finish()
+            armed.finish()
+        self._armed = self._watcher = None
 
     async def expose(self) -> Exposure:
         """Trigger one exposure; return at the end of exposure (timed)."""
@@ -286,8 +287,7 @@ class AravisCamera:
 
     async def _call(self, function: Callable[[Unpack[Ts]], T], *arguments: *Ts) -> T:
         """Run on the control thread unless the camera is lost; a loss found here fails everything that waits."""
-        if self._lost is not None:
-            raise DeviceLost(self._lost.message, device=self._name, hint=HINTS[DeviceLost]) from self._lost
+        self._refuse_when_lost()
         try:
             return await self._run(function, *arguments)
         except DeviceLost as error:
@@ -313,7 +313,13 @@ class AravisCamera:
             raise DeviceError("not connected.", device=self._name, operation=operation)
         return self._settings
 
+    def _refuse_when_lost(self) -> None:
+        if self._lost is not None:
+            raise DeviceLost(self._lost.message, device=self._name, hint=HINTS[DeviceLost]) from self._lost
+
     def _armed_for(self, operation: str) -> Armed:
+        if self._armed is None:
+            self._refuse_when_lost()
         if self._armed is None:
             raise DeviceError("not armed.", device=self._name, operation=operation)
         return self._armed

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from scanhsi.devices.camera import CameraSettings, Roi, Trigger
-from scanhsi.devices.errors import OutOfRange, UnsupportedFeature
+from scanhsi.devices.errors import OutOfRange, ProtocolError, UnsupportedFeature
 from scanhsi.devices.pixels import PixelFormat
 from scanhsi.devices.values import Range
 
@@ -184,22 +184,21 @@ class Features:
             address: IP address of the camera.
 
         Raises:
-            OutOfRange: The interface or the camera does not take the size asked for.
+            OutOfRange: The interface or the camera does not take the size.
+            ProtocolError: The camera takes it and uses another.
         """
         mtu = path_mtu(address)
-        if asked is not None and asked > mtu:
-            raise OutOfRange(
-                f"packet size {asked} is more than the {mtu} bytes that the network interface takes.",
-                hint=f"set the interface's MTU to {asked}, or leave packet_size out.",
-            )
         low, high = self._camera.get_integer_bounds("GevSCPSPacketSize")
-        size = asked or min(mtu, JUMBO, high)
-        self._camera.gv_set_packet_size(size - (0 if asked else size % 4))
+        size = min(mtu, JUMBO, high) // 4 * 4 if asked is None else asked
+        if not low <= size <= min(mtu, high):
+            raise OutOfRange(
+                f"packet size {size} is not allowed; the camera takes {low} to {high} bytes, the network interface {mtu}.",
+                hint="set the interface's MTU to the size, or leave packet_size out.",
+            )
+        self._camera.gv_set_packet_size(size)
         applied = int(self._camera.gv_get_packet_size())
         if applied > mtu or (asked is not None and applied != asked):
-            raise OutOfRange(
-                f"the camera uses packets of {applied} bytes when told {size} (it says {low} to {high}, the interface {mtu})."
-            )
+            raise ProtocolError(f"the camera uses packets of {applied} bytes when told {size}.")
         return applied
 
     def _find(self, quantity: Quantity) -> str | None:

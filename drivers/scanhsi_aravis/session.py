@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,11 +18,11 @@ from typing import Any, Literal
 import structlog
 
 from scanhsi.devices.camera import CameraInfo, CameraSettings, Roi, Trigger
-from scanhsi.devices.errors import DeviceError, DeviceUnavailable, OutOfRange, UnsupportedFeature
+from scanhsi.devices.errors import DeviceError, DeviceLost, DeviceUnavailable, OutOfRange, UnsupportedFeature
 from scanhsi.devices.values import Range
 from scanhsi_aravis.errors import translated
 from scanhsi_aravis.features import EXPOSURE, GAIN, Features
-from scanhsi_aravis.lib import Library, load
+from scanhsi_aravis.lib import Calls, Library, load
 from scanhsi_aravis.options import AravisOptions
 from scanhsi_aravis.ring import Ring
 from scanhsi_aravis.stream import Arrival, Receiver
@@ -156,20 +157,49 @@ class Session:
             if self._receiver is not None and not lost:
                 with translated(self._name, "disarm"):
                     self._camera.stop_acquisition()
+        except DeviceLost:
+            lost = True
+            raise
         finally:
-            self._free_stream(load().calls.release)
+            self._end_reception()
+            if self._stream is not None and not lost:
+                load().calls.release(self._stream)
+                self._stream = None
 
     def close(self, *, lost: bool) -> None:
-        """Free everything; give up control of a camera that is not lost. Idempotent; never raises for a camera that is gone."""
-        with suppress(DeviceError):
+        """Free everything and give up control. Idempotent; never raises for a camera that is gone.
+
+        Aravis says goodbye to each camera, which takes 10 s with one that does not answer or listens to another program. That
+        goes on in a daemon thread, without anything of ours.
+        """
+        try:
             self.stop(lost=lost)
-        if self._device is not None:
-            self._device.handler_disconnect(self._lost_handler)
-            if not lost:
-                with suppress(load().error):
-                    self._device.leave_control()
+        except DeviceError as error:
+            lost = isinstance(error, DeviceLost)
+        if self._device is None:
+            self._camera = None
+            return
+        self._device.handler_disconnect(self._lost_handler)
+        calls = load().calls
+        lost = lost or not self._device.is_controller()
+        if not lost:
+            with suppress(load().error):
+                self._device.leave_control()
+        leftovers = [pointer for pointer in (self._stream, calls.ref(hash(self._device))) if pointer is not None]
         self._features = Features(None)
-        self._device = self._camera = None
+        self._device = self._camera = self._stream = None
+        if lost:
+            threading.Thread(target=_release, args=(calls, leftovers), name="lost-camera", daemon=True).start()
+        else:
+            _release(calls, leftovers)
+
+    def _end_reception(self) -> None:
+        receiver, ring = self._receiver, self._ring
+        self._receiver = self._ring = None
+        if receiver is not None:
+            receiver.stop()
+        if ring is not None:
+            ring.close()
 
     def _apply(self, settings: CameraSettings) -> tuple[CameraSettings, float]:
         applied, readout_s = self._features.apply(settings, self._exposure_min_s)
@@ -200,15 +230,10 @@ class Session:
         if self._options.realtime_priority is not None:
             _raise_priority(self._options.realtime_priority, self._name)
 
-    def _free_stream(self, release: Callable[[int], None]) -> None:
-        receiver, ring, stream = self._receiver, self._ring, self._stream
-        self._receiver = self._ring = self._stream = None
-        if receiver is not None:
-            receiver.stop()
-        if ring is not None:
-            ring.close()
-        if stream is not None:
-            release(stream)
+
+def _release(calls: Calls, pointers: list[int]) -> None:
+    for pointer in pointers:
+        calls.release(pointer)
 
 
 def receive_mode(options: AravisOptions, name: str) -> Literal["packet-socket", "socket"]:
@@ -250,11 +275,13 @@ def _packet_socket_permitted() -> bool:
 def _raise_priority(priority: int, name: str) -> None:
     """Give Aravis' receive threads of this process a realtime priority; warn where that is not permitted."""
     for comm in Path("/proc/self/task").glob("*/comm"):
-        if comm.read_text().strip() == "arv_gv_stream":
-            try:
+        try:
+            if comm.read_text().strip() == "arv_gv_stream":
                 os.sched_setscheduler(int(comm.parent.name), os.SCHED_FIFO, os.sched_param(priority))
-            except OSError as error:
-                log.warning("no realtime priority for the receive thread", device=name, reason=str(error))
+        except PermissionError as error:
+            log.warning("no realtime priority for the receive thread", device=name, reason=str(error))
+        except OSError:
+            continue  # a thread that has just ended
 
 
 def _narrowed(allowed: Range, limits: tuple[float, float] | None, option: str, name: str) -> Range:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scanhsi_aravis.lib import Calls
 from scanhsi_aravis.ring import Ring
 
-POP_US = 100_000
+POP_US = 50_000
 """How long one wait for a buffer lasts: the longest time that stopping takes."""
 
 _SUCCESS = 0
@@ -73,7 +73,7 @@ class Receiver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Deliver what has been received and join the thread; takes up to 0.1 s."""
+        """Deliver what has been received and join the thread; takes up to 50 ms."""
         self._stopping = True
         self._thread.join()
 
