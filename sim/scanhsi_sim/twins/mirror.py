@@ -22,8 +22,8 @@ class MirrorReading:
 
     Attributes:
         position_steps: Of the mirror itself, unwrapped; 0 is the home index edge, whatever the firmware counts.
-        last_step_host_ns: CLOCK_MONOTONIC when the mirror last moved; 0 = not since the bench started. It is taken after the
-            step, by at most one slice of emulation (0.2 ms).
+        last_step_host_ns: CLOCK_MONOTONIC when the mirror last moved, on the bench's paced clock; 0 = not since it started. It
+            can be read here up to 0.2 ms later, and later still when the host stalls.
         step_count: Steps the mirror has made, both directions together.
         trig_count: Trigger pulses since the bench started.
         last_trig_position: Position at the last pulse.

@@ -45,7 +45,8 @@ class StepperTwinSettings:
         seed: Of the injected noise.
         firmware: ELF file for the ATmega328P; None = the one of the stepper driver.
         trigger_socket: Unix datagram socket that gets 24 bytes for each trigger pulse at once: number, position in steps,
-            CLOCK_MONOTONIC in ns, each a little-endian int64. Pulses while nobody listens are only counted.
+            CLOCK_MONOTONIC in ns (of the pulse; it arrives up to 0.2 ms later), each a little-endian int64. A late reader gets
+            all pulses in order; pulses while nobody listens are only counted.
         trigger_lines: Also keep each trigger in `StepperTwin.triggers`.
     """
 

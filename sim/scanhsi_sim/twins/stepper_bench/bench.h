@@ -71,8 +71,9 @@ void mirror_lose(uint64_t nth);     /* the motor will not follow the nth step pu
 /* --- publish.c: the mirror's state in a memory-mapped file ------------------------------------------------------- */
 /* Layout of the file, 56 bytes, little endian, all fields aligned. A writer (the bench) and any number of readers:
  * `seq` is odd while the writer is at work; a reader takes `seq`, the fields and `seq` again, and starts over when the
- * two differ or are odd. Times are CLOCK_MONOTONIC of this host, taken when the bench made the change (never before it
- * happened, and later than it by at most one slice of emulation, 0.2 ms while the mirror moves). */
+ * two differ or are odd. Times are CLOCK_MONOTONIC of this host at which the emulated event happens on the
+ * bench's paced clock; it appears here later than that by up to one slice of emulation (0.2 ms while the mirror moves),
+ * and by more when the host stalls. */
 struct mirror_state {
     uint64_t seq;
     int64_t position_steps;       /* of the mirror itself: 0 = home index edge, whatever the firmware counts */
@@ -128,6 +129,7 @@ void set_speed(double speed);
 double get_speed(void);
 uint64_t clock_skips(void);
 int64_t host_ns(void);
+int64_t paced_ns(void);
 void power_on(void);
 
 #endif

@@ -31,6 +31,16 @@ int64_t host_ns(void)
     return now.tv_sec * 1000000000LL + now.tv_nsec;
 }
 
+/* When the present cycle happens on the paced clock: never later than now, and free of this host's lateness. */
+int64_t paced_ns(void)
+{
+    int64_t now = host_ns(), due;
+    if (speed <= 0)
+        return now;
+    due = base_ns + (int64_t)((double)(cpu_cycle() - base_cycle) / CPU_HZ / speed * 1e9);
+    return due < now ? due : now;
+}
+
 static void rebase(void)
 {
     base_ns = host_ns();

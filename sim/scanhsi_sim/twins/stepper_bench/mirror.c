@@ -63,7 +63,7 @@ static void turn(void)
     position += dir ? 1 : -1;
     if (in_window() != was_in)
         cpu_set_home_sensor(in_window());
-    publish_position(position, 1, host_ns());
+    publish_position(position, 1, paced_ns());
     if (trace) {
         record[0] = cpu_cycle();
         record[1] = (uint64_t)position;
@@ -130,7 +130,7 @@ void mirror_put(int64_t where)
 {
     if (where != position) {
         position = where;
-        publish_position(position, 0, host_ns());
+        publish_position(position, 0, paced_ns());
     }
     cpu_set_home_sensor(in_window());
 }

@@ -53,7 +53,7 @@ bool triggers_are_waiting(void) { return tail != head; }
 
 void triggers_fire(int64_t position, uint64_t cycle)
 {
-    int64_t now = host_ns();
+    int64_t now = paced_ns();
     number++;
     publish_trigger(position, now);
     if (fd >= 0 && head - tail < WAITING)
