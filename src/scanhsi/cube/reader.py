@@ -19,8 +19,8 @@ from scanhsi.devices.errors import CubeError, NotACube
 def open_cube(path: str | Path) -> xr.Dataset:
     """Open a cube lazily: pixels are read as they are asked for, nothing is kept.
 
-    The dataset holds the lines that were reached, so that a scan that was interrupted, or is still running, is a shorter cube. Lines
-    in between that were lost are there, black, with ``status`` 2: ``ds.isel(line=ds.status == 1)`` leaves them out.
+    The dataset holds the lines that were reached: a scan that was interrupted, or is still running, is a shorter cube.
+    Lines in between that were lost are there, black, with ``status`` 2: ``ds.isel(line=ds.status == 1)`` leaves them out.
 
     Returns:
         Variable ``cube`` (band, line, sample), uint8 or uint16 as it came from the camera. Coordinates: ``line`` as counted by the

@@ -19,8 +19,11 @@ from typing import Any, Final, Literal
 import numpy as np
 import zarr
 from numpy.typing import NDArray
+from zarr.abc.buffer import Buffer
+from zarr.abc.store import Store
 from zarr.codecs import BloscCodec
 from zarr.errors import ZarrUserWarning
+from zarr.storage import MemoryStore
 
 from scanhsi.cube.durable import DurableStore, sync_directory, write_durably
 from scanhsi.cube.layout import (
@@ -86,7 +89,8 @@ class CubeFiles:
             )
         building = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex}.partial")
         try:
-            self._create_in(building, attributes)
+            for key, value in self._metadata(attributes).items():
+                write_durably(building / key, value.as_numpy_array().data)
             building.rename(self.path)
             sync_directory(self.path.parent)
         except OSError as error:
@@ -97,18 +101,18 @@ class CubeFiles:
             shutil.rmtree(building, ignore_errors=True)
         self._open()
 
-    def _create_in(self, path: Path, attributes: Mapping[str, Any]) -> None:
+    def _metadata(self, attributes: Mapping[str, Any]) -> dict[str, Buffer]:
+        """The files of the empty cube: key -> contents."""
+        files: dict[str, Buffer] = {}
+        store = MemoryStore(files)
         spec, layout = self._spec, self._layout
-        path.mkdir()
-        store = DurableStore(path)
         head = {"Conventions": "CF-1.11", "scanhsi_format": FORMAT, **spec.attributes, **attributes}
         group = zarr.create_group(store, attributes={**head, "complete": False, "missing": {}})
         if spec.wavelength_nm is not None:
-            wavelength = np.asarray(spec.wavelength_nm, np.float64)
             group.create_array(
                 "wavelength",
-                data=wavelength,
-                chunks=wavelength.shape,
+                data=np.asarray(spec.wavelength_nm, np.float64),
+                chunks=(spec.bands,),
                 compressors=None,
                 dimension_names=("band",),
                 attributes=dict(WAVELENGTH_ATTRIBUTES),
@@ -127,6 +131,7 @@ class CubeFiles:
             attributes=cube_attributes(spec),
         )
         _consolidate(store)
+        return files
 
     def _create_line_array(self, group: zarr.Group, variable: LineVariable) -> None:
         group.create_array(
@@ -222,7 +227,7 @@ def _compressor(codec: Codec, itemsize: int) -> BloscCodec | None:
     return BloscCodec(cname=cname, clevel=level, shuffle="bitshuffle", typesize=itemsize, blocksize=blocksize)
 
 
-def _consolidate(store: Any) -> None:
+def _consolidate(store: Store) -> None:
     with warnings.catch_warnings():
         # It says that consolidated metadata is not in the v3 specification yet. Readers that do not know it ignore it.
         warnings.filterwarnings("ignore", "Consolidated metadata is currently not part", ZarrUserWarning)
