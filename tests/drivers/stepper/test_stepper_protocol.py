@@ -1,6 +1,8 @@
 """Lines of the stepper protocol: the reference's examples, and parsing that never raises."""
 
 import binascii
+import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -108,3 +110,14 @@ def test_status_reads_eight_numbers() -> None:
     assert Status.of(("2", "-5", "100", "7", "1", "0", "3", "4")) == Status(2, -5, 100, 7, True, False, 3, 4)
     with pytest.raises(ValueError):
         Status.of(("1", "2"))
+
+
+def test_lines_shown_in_the_documents_carry_their_true_checksums() -> None:
+    root = Path(__file__).parents[3]
+    documents = [root / "docs/reference/stepper-protocol.md", root / "drivers/scanhsi_stepper/firmware/README.md"]
+    shown = [
+        match for path in documents for match in re.findall(r"[<>!](\d+ [A-Z][^*`.]*)\*([0-9A-F]{4})", path.read_text())
+    ]
+    assert len(shown) >= 6
+    for body, crc in shown:
+        assert f"{binascii.crc_hqx(body.encode(), 0):04X}" == crc, body
