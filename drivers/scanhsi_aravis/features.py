@@ -47,12 +47,18 @@ FRAME_RATE = Quantity("frame rate", ("AcquisitionFrameRate", "AcquisitionFrameRa
 class Features:
     """Features of one camera. One thread only, as for all of Aravis but streams.
 
+    The camera is in no local variable here: an error's traceback would keep it, and its heartbeat, alive after `forget`.
+
     Args:
         camera: An ``Aravis.Camera``.
     """
 
     def __init__(self, camera: Any) -> None:
         self._camera = camera
+
+    def forget(self) -> None:
+        """Let go of the camera; nothing else may be called then."""
+        self._camera = None
 
     def has(self, name: str) -> bool:
         """Whether the camera has the feature, and has it now."""
@@ -79,8 +85,8 @@ class Features:
     def get(self, quantity: Quantity) -> float:
         """The value in force, in our unit."""
         name = self._name(quantity)
-        read = self._camera.get_integer if name in quantity.integer else self._camera.get_float
-        return read(name) / quantity.per_unit
+        raw = self._camera.get_integer(name) if name in quantity.integer else self._camera.get_float(name)
+        return raw / quantity.per_unit
 
     def set(self, quantity: Quantity, value: float) -> float:
         """Set a value, in our unit; return it as applied."""
@@ -100,16 +106,10 @@ class Features:
 
     def region_range(self) -> tuple[int, int, tuple[int, int]]:
         """(bands, samples) of the sensor, and the granularity of the region as (bands, samples)."""
-        camera = self._camera
-        samples, bands = camera.get_sensor_size()
-        return (
-            bands,
-            samples,
-            (
-                max(camera.get_height_increment(), camera.get_y_offset_increment(), 1),
-                max(camera.get_width_increment(), camera.get_x_offset_increment(), 1),
-            ),
-        )
+        samples, bands = self._camera.get_sensor_size()
+        band_step = max(self._camera.get_height_increment(), self._camera.get_y_offset_increment(), 1)
+        sample_step = max(self._camera.get_width_increment(), self._camera.get_x_offset_increment(), 1)
+        return bands, samples, (band_step, sample_step)
 
     def pixel_formats(self) -> tuple[PixelFormat, ...]:
         """Formats that both the camera and scanhsi know."""
@@ -134,19 +134,19 @@ class Features:
             exposure: the highest frame rate depends on region, format, bandwidth and, on many cameras, exposure, so it is
             read while the exposure is the shortest.
         """
-        camera, roi = self._camera, settings.roi
+        roi = settings.roi
         assert roi is not None
         self.untrigger()
-        camera.set_region(roi.sample_offset, roi.band_offset, roi.samples, roi.bands)
-        camera.set_pixel_format_from_string(settings.pixel_format.value)
+        self._camera.set_region(roi.sample_offset, roi.band_offset, roi.samples, roi.bands)
+        self._camera.set_pixel_format_from_string(settings.pixel_format.value)
         self.choose("ExposureAuto", "Off")
         self.choose("GainAuto", "Off")
         self.set(EXPOSURE, shortest_exposure_s)
         readout_s = 1 / self.range(FRAME_RATE).maximum if self._find(FRAME_RATE) else 0.0
         exposure_s, gain_db = self.set(EXPOSURE, settings.exposure_s), self.set(GAIN, settings.gain_db)
-        x, y, width, height = camera.get_region()
+        x, y, width, height = self._camera.get_region()
         applied = CameraSettings(
-            exposure_s, gain_db, PixelFormat(camera.get_pixel_format_as_string()), Roi(x, y, width, height)
+            exposure_s, gain_db, PixelFormat(self._camera.get_pixel_format_as_string()), Roi(x, y, width, height)
         )
         return applied, readout_s
 

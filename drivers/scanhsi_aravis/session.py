@@ -186,7 +186,7 @@ class Session:
             with suppress(load().error):
                 self._device.leave_control()
         leftovers = [pointer for pointer in (self._stream, calls.ref(hash(self._device))) if pointer is not None]
-        self._features = Features(None)
+        self._features.forget()
         self._device = self._camera = self._stream = None
         if lost:
             threading.Thread(target=_release, args=(calls, leftovers), name="lost-camera", daemon=True).start()
