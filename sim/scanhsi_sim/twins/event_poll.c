@@ -36,13 +36,15 @@ int g_poll(struct pollfd *fds, unsigned count, int timeout_ms)
     uint64_t events;
     int ready;
 
-    while (event_poll_frozen)
-        nanosleep(&pause, NULL);
     if (count > MAX_FDS)
         return poll(fds, count, timeout_ms);
     memcpy(all, fds, count * sizeof *fds);
     all[count] = (struct pollfd){ .fd = event_poll_fd, .events = POLLIN };
-    ready = poll(all, count + 1, timeout_ms == 0 ? SLICE_MS : timeout_ms);
+    do {
+        while (event_poll_frozen)
+            nanosleep(&pause, NULL);
+        ready = poll(all, count + 1, timeout_ms == 0 ? SLICE_MS : timeout_ms);
+    } while (event_poll_frozen);
     for (unsigned i = 0; i < count; i++)
         fds[i].revents = all[i].revents;
     if (ready <= 0 || !all[count].revents)

@@ -129,7 +129,7 @@ class Sensor:
     def start(self, settings: Settings, now_ns: int) -> None:
         """Begin an acquisition, or go on with other settings from the next exposure on."""
         if self._settings is None:
-            self._index, self._ready_ns = 0, now_ns
+            self._index, self._ready_ns = 0, 0
         if not self._settings or self._settings.source is not settings.source:
             self._next_ns = now_ns if settings.source in (Source.FREE_RUN, Source.FIXED_RATE) else None
         self._settings = settings
