@@ -48,11 +48,11 @@ class LineDelays:
     shorter: that depends on the sensor rows only, and the bounds of a scan count with the whole sensor.
     """
 
-    def __init__(self, streams: DelayStreams, settings: CameraSettings, roi: Roi, sensor: tuple[int, int]) -> None:
+    def __init__(self, streams: DelayStreams, settings: CameraSettings, sent: Roi, sensor: Roi) -> None:
         self._streams = streams
         self._format = settings.pixel_format
-        self._part = self._format.payload_bytes(roi.shape)
-        self._whole = self._format.payload_bytes(sensor)
+        self._part = self._format.payload_bytes(sent.shape)
+        self._whole = self._format.payload_bytes(sensor.shape)
 
     def ns(self, stream: Stream, line: int) -> int:
         """Delay of one line in ns."""

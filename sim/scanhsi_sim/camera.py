@@ -20,6 +20,7 @@ from scanhsi.devices import (
     PixelFormat,
     Pixels,
     Range,
+    Roi,
     Trigger,
     check_settings,
 )
@@ -258,9 +259,10 @@ class SimulatedCamera:
 
     def _delays(self, settings: CameraSettings | None = None) -> LineDelays:
         settings = settings or self._configured("delays")
-        roi = settings.roi
-        assert roi is not None
-        return LineDelays(self._streams, settings, roi, (self._options.bands, self._options.samples))
+        sensor = Roi(0, 0, self._options.samples, self._options.bands)
+        sent = sensor if self._options.whole_transfer else settings.roi
+        assert sent is not None
+        return LineDelays(self._streams, settings, sent, sensor)
 
     def _configured(self, operation: str) -> CameraSettings:
         if self._settings is None:

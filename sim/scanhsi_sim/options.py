@@ -73,6 +73,10 @@ class CameraOptions(_Options):
     bands: int = Field(default=1088, ge=1, le=8192, description="pixels of the sensor along the spectrum")
     samples: int = Field(default=2048, ge=1, le=8192, description="pixels of the sensor along the slit")
     overlap: bool = Field(default=True, description="whether the next exposure may overlap the read-out of the last")
+    whole_transfer: bool = Field(
+        default=False,
+        description="send all of the sensor and let the host keep the ROI, as the paper did: a small ROI saves no time then",
+    )
     exposure_range_s: Pair = Field(default=(0.01, 2.0), description="allowed exposure times in s")
     gain_range_db: Pair = Field(default=(0.0, 25.0), description="allowed gains in dB")
     distance_mm: float = Field(default=350.0, gt=0, description="mirror to object plane, for the scene")

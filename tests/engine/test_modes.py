@@ -15,7 +15,7 @@ from scanhsi.cube.records import LineStatus
 from scanhsi.devices import CameraSettings, Exposure, PixelFormat, Trigger
 from scanhsi.devices.errors import DeviceError, DeviceLost, OutOfRange, ScanFailed
 from scanhsi.engine import Course, Mode, ScanReport, run_scan
-from scanhsi.engine.run import CAMERA_BUFFERS
+from scanhsi.engine.scan import CAMERA_BUFFERS
 from support.bench import Bench, BenchActuator, BenchCamera, MemorySink
 
 LINES = 12

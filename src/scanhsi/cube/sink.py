@@ -12,7 +12,8 @@ The engine calls, in one event loop::
 * **Credits.** At most `capacity` lines may be between ``buffer`` and being named in a returned range; the engine's credits see
   to it. That bounds the memory, whatever the disk does.
 * **Truth.** A line is named in a returned range when its pixels are on disk, its ``stored`` stamp is taken, its records are on
-  disk and then its ``status`` is. Ranges come in order and name each line once. Missing lines are named too (status `MISSING`, pixels zero).
+  disk and then its ``status`` is. Ranges come in order and name each line once. Missing lines are named too (status `MISSING`,
+  pixels zero).
 * **Failure.** The first error is raised by the next ``append``, ``flush`` or ``close``; nothing is swallowed.
 * **Cancellation.** ``append`` and ``flush`` may be cancelled; a buffer stays owned until the thread that reads it is done.
   ``close`` then still commits what was appended whole and leaves a valid, perhaps shorter cube.

@@ -32,11 +32,10 @@ from scanhsi.engine.deadlines import HOME_S, STORE_S, Deadline, deadlines
 from scanhsi.engine.plan import Course, Mode
 from scanhsi.engine.receive import receive_exposed, write_lines
 from scanhsi.engine.report import Progress, ScanReport
-from scanhsi.engine.scan import Credits, Scan
+from scanhsi.engine.scan import CAMERA_BUFFERS, Credits, Scan
 from scanhsi.engine.summary import report
 from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
 
-CAMERA_BUFFERS = 16
 STOP_S = 10.0
 
 _log = structlog.get_logger(__name__)

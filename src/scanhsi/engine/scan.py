@@ -14,6 +14,8 @@ from scanhsi.engine.deadlines import Deadlines
 from scanhsi.engine.plan import Course
 from scanhsi.engine.report import Progress
 
+CAMERA_BUFFERS = 16
+"""Frame buffers of the camera: a third of a second of stalled unpacking at full rate."""
 PROGRESS_INTERVAL_NS = 250_000_000
 
 

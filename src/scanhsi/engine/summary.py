@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scanhsi.devices import OverlapsReadout
 from scanhsi.engine.report import ScanReport
-from scanhsi.engine.scan import Scan
+from scanhsi.engine.scan import CAMERA_BUFFERS, Scan
 from scanhsi.timing.bounds import bound, mean_period_ns
 from scanhsi.timing.observed import delays_of, exposure_starts, stage_times
 
@@ -27,6 +27,7 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
         readout_ns=round(camera.info.readout_s * 1e9),
         dead_ns=round(camera.dead_time_s() * 1e9) if isinstance(camera, OverlapsReadout) else 0,
         overlap=isinstance(camera, OverlapsReadout),
+        buffers=CAMERA_BUFFERS,
     )
     reached = bound(starts, delays, course.mode)
     return ScanReport(

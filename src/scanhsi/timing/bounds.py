@@ -31,6 +31,8 @@ class LineDelays:
         readout_ns: Sensor read-out.
         dead_ns: Between one exposure and the next, for a sensor that overlaps read-out and exposure.
         overlap: Whether it does.
+        buffers: Frame buffers of the camera: a line is not exposed before the one so many lines earlier is unpacked. Where a slow
+            link or copy sets the pace, this is how it does.
     """
 
     exposure: Ns
@@ -42,6 +44,7 @@ class LineDelays:
     readout_ns: int
     dead_ns: int
     overlap: bool
+    buffers: int
 
 
 def earliest_starts(delays: LineDelays, mode: str) -> Ns:
@@ -55,6 +58,7 @@ def earliest_starts(delays: LineDelays, mode: str) -> Ns:
         int64 (n,), ns; line 0 starts at 0.
     """
     starts: list[int] = []
+    unpacked: list[int] = []
     exposed = received = copied = stored = read = 0
     last_exposure = 0
     columns = (delays.exposure, delays.actuate, delays.trigger, delays.transfer, delays.copy, delays.store)
@@ -66,23 +70,22 @@ def earliest_starts(delays: LineDelays, mode: str) -> Ns:
         else:
             sensor = max(exposed + delays.dead_ns, read - last_exposure) if delays.overlap else read
             ready = {"sequential": stored + actuate, "stepped": exposed + actuate}.get(mode, 0)
-            start = max(sensor, ready + trigger if mode != "continuous" else 0)
+            free = unpacked[line - delays.buffers] if line >= delays.buffers else 0
+            start = max(sensor, max(ready, free) + trigger if mode != "continuous" else free)
         exposed = start + exposure
         read = exposed + delays.readout_ns
         received = max(exposed, received) + transfer
         copied = max(received, copied) + copy
+        unpacked.append(copied)
         stored = max(copied, stored) + store
         last_exposure = exposure
         starts.append(start)
     return np.array(starts, np.int64)
 
 
-def mean_period_ns(starts: Ns, skip: int = 0) -> float:
-    """Mean distance of successive exposure starts, without the first ``skip`` lines; nan for fewer than two lines."""
-    kept = starts[skip:]
-    if len(kept) < 2:
-        return float("nan")
-    return float(kept[-1] - kept[0]) / (len(kept) - 1)
+def mean_period_ns(starts: Ns) -> float:
+    """Mean distance of successive exposure starts; nan for fewer than two lines."""
+    return float(starts[-1] - starts[0]) / (len(starts) - 1) if len(starts) > 1 else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ class Bound:
     regret: float
 
 
-def bound(starts: Ns, delays: LineDelays, mode: str, skip: int = 3) -> Bound | None:
+def bound(starts: Ns, delays: LineDelays, mode: str) -> Bound | None:
     """Compare measured exposure starts with the earliest ones for the same delays.
 
     None where there is nothing to compare: fewer than two lines, or delays that are all zero.
@@ -107,10 +110,10 @@ def bound(starts: Ns, delays: LineDelays, mode: str, skip: int = 3) -> Bound | N
         starts: int64 (n,), measured exposure starts, ns.
         delays: Of the same lines.
         mode: As in `earliest_starts`.
-        skip: Lines of the filling pipeline left out at the beginning.
+
+    All lines count, also those of the filling pipeline: from line 0 on the theorem holds to the letter.
     """
-    skip = min(skip, max(len(starts) - 2, 0))
-    earliest = mean_period_ns(earliest_starts(delays, mode), skip)
+    earliest = mean_period_ns(earliest_starts(delays, mode))
     if not earliest > 0:
         return None
-    return Bound(period_s=earliest * 1e-9, regret=mean_period_ns(starts, skip) / earliest)
+    return Bound(period_s=earliest * 1e-9, regret=mean_period_ns(starts) / earliest)

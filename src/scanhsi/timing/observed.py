@@ -59,13 +59,13 @@ def exposure_starts(stamps: Stamps) -> NDArray[np.int64]:
 
 
 def delays_of(
-    stamps: Stamps, *, exposure_ns: int, readout_ns: int, dead_ns: int, overlap: bool
+    stamps: Stamps, *, exposure_ns: int, readout_ns: int, dead_ns: int, overlap: bool, buffers: int
 ) -> tuple[NDArray[np.int64], LineDelays]:
     """The device delays that a scan met, for `scanhsi.timing.bounds.bound`.
 
     What the engine or a safety margin added is *not* a device delay: an exposure counts as ``exposure_ns`` even where its end was
-    timed with a margin, a copy from when both frame and copier were ready. A delay that was not stamped counts as 0, which keeps
-    the bound a bound.
+    timed with a margin, a copy from when both frame and copier were ready, storing only as far as the next line waited for it. A
+    delay that was not stamped counts as 0, which keeps the bound a bound.
 
     Args:
         stamps: Of one scan.
@@ -73,6 +73,7 @@ def delays_of(
         readout_ns: Sensor read-out.
         dead_ns: Dead time between overlapping exposures.
         overlap: Whether the sensor overlaps exposure and read-out.
+        buffers: Frame buffers of the camera.
 
     Returns:
         Measured exposure starts of the lines that were exposed, int64 (n,), and the delays of those lines.
@@ -82,16 +83,19 @@ def delays_of(
     count = int(np.count_nonzero(exposed))
     previous = np.concatenate(([_ABSENT], column["copied"][:-1])) if count else column["copied"]
     ready = np.maximum(column["received"], previous)
+    following = np.concatenate((column["commanded"][1:], [_ABSENT])) if count else column["commanded"]
+    waited_for = np.where(following == _ABSENT, column["stored"], np.minimum(column["stored"], following))
     return column["exposure_start"], LineDelays(
         exposure=np.full(count, exposure_ns, np.int64),
         actuate=_delay(column["commanded"], column["moved"]),
         trigger=_delay(column["trigger"], column["exposure_start"]),
         transfer=_delay(column["first_byte"], column["received"]),
         copy=_delay(ready, column["copied"]),
-        store=_delay(column["copied"], column["stored"]),
+        store=_delay(column["copied"], waited_for),
         readout_ns=readout_ns,
         dead_ns=dead_ns,
         overlap=overlap,
+        buffers=buffers,
     )
 
 
