@@ -2,9 +2,10 @@
 
 import ctypes
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -66,12 +67,12 @@ def load() -> tuple[Any, Any]:
         import gi
 
         gi.require_version("Aravis", "0.8")
-        from gi.repository import Aravis, GLib  # pyright: ignore
-    return Aravis, GLib
+        repository: Any = import_module("gi.repository")
+        return repository.Aravis, repository.GLib
 
 
 @contextmanager
-def opened() -> Iterator[Client]:
+def opened() -> Generator[Client]:
     """The twin's camera, under control, ranges checked, not armed."""
     aravis, _ = load()
     client = Client(aravis, aravis.Camera.new("127.0.0.1"))
@@ -92,7 +93,7 @@ def armed(
     source: str | None = "Software",
     rate_hz: float | None = None,
     buffers: int = 8,
-) -> Iterator[Client]:
+) -> Generator[Client]:
     """Open, configure and arm the camera; region is (x, y, width, height). Source None: free run at `rate_hz`."""
     with opened() as client:
         _configure(client.camera, pixel_format, region, exposure_us, source, rate_hz)

@@ -2,7 +2,7 @@
 
 import asyncio
 import threading
-from collections.abc import Coroutine, Iterator
+from collections.abc import Coroutine, Generator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any
@@ -42,7 +42,7 @@ class Running:
 
 
 @contextmanager
-def running(**settings: Any) -> Iterator[Running]:
+def running(**settings: Any) -> Generator[Running]:
     loop = Loop()
     twin = CameraTwin(CameraTwinSettings(**settings))
     try:
