@@ -47,6 +47,11 @@ class Geometry(Written):
         Literal[1, -1], Field(description="+1 when the mirror angle grows with the step, -1 when it falls")
     ] = 1
 
+    sample_pitch_m: Annotated[
+        Metres | None,
+        Field(alias="sample_pitch", gt=0, description="size of a sample in the object plane, straight ahead"),
+    ] = None
+
     @property
     def step_angle_rad(self) -> float:
         """Angle the mirror turns in one step (Eq. 8); the optical axis turns by twice as much."""
