@@ -12,6 +12,7 @@ from scanhsi.devices import Sweep
 from scanhsi.devices.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, MotionFailed, PositionLost
 from scanhsi_sim.twins.stepper import CPU_HZ, StepperTwin, StepperTwinSettings
 from scanhsi_stepper import StepperActuator, StepperOptions
+from scanhsi_stepper.motions import run_motion
 from scanhsi_stepper.ramp import Profile, move_time_s
 
 pytestmark = pytest.mark.twin
@@ -27,14 +28,15 @@ def settings(**values: object) -> StepperTwinSettings:
 def test_noise_on_the_line_loses_no_step_and_repeats_none() -> None:
     async def scenario(twin: StepperTwin, actuator: StepperActuator) -> None:
         await twin.command("noise 100 50")
-        position = actuator.position
+        link = actuator._link
+        assert link is not None
         for _ in range(50):
-            for steps in (3, -1):
-                position += steps
-                await actuator.move_to(position)
+            for command in ("MR 3", "MR -1"):  # relative: a repeated execution would show
+                assert (await run_motion(link, command, 0.003, 10.0)).reached
         await twin.command("noise 0 0")
         stats = await twin.stats()
-        assert actuator.position == stats["position"] == position == 100
+        assert await request(actuator, "P") == ("100",)
+        assert stats["position"] == 100
         assert stats["up"] == 150
         assert stats["down"] == 50
         assert stats["garbled"] + stats["dropped"] > 50
