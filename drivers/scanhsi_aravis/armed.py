@@ -77,9 +77,6 @@ class Armed:
         return self._by_id.arrived(arrival.frame_id)
 
     def _frame(self, arrival: Arrival, index: int) -> Frame:
-        start_ns = None
-        if self.trigger is not Trigger.SOFTWARE and arrival.first_byte_ns is not None:
-            start_ns = arrival.first_byte_ns - self._times.exposure  # no byte leaves the sensor before exposure ends
         return Frame(
             index=index,
             frame_id=arrival.frame_id,
@@ -89,8 +86,14 @@ class Armed:
             received_ns=arrival.received_ns,
             device_ns=arrival.device_ns,
             first_byte_ns=arrival.first_byte_ns,
-            exposure_start_ns=start_ns,
+            exposure_start_ns=None if self.trigger is Trigger.SOFTWARE else self._exposure_start_ns(arrival),
         )
+
+    def _exposure_start_ns(self, arrival: Arrival) -> int | None:
+        """The camera's stamp where its clock is ours; else the latest possible: no byte leaves before exposure ends."""
+        if arrival.stamped_ns is not None:
+            return arrival.stamped_ns
+        return None if arrival.first_byte_ns is None else arrival.first_byte_ns - self._times.exposure
 
     # -- software triggers
 
@@ -129,6 +132,8 @@ class Armed:
         """When to look whether something is overdue: never later than that."""
         now, silence = now_ns(), self._times.silence
         if self.trigger is not Trigger.SOFTWARE:
+            if self.ring is not None:  # while consumers hold every buffer we are deaf, the camera is not silent
+                self._heard_ns = max(self._heard_ns, now if self.ring.exhausted else self.ring.heard_again_ns)
             return self._heard_ns + silence
         pending = self._by_trigger.pending
         due = pending[0].due_ns if pending else None
@@ -136,9 +141,6 @@ class Armed:
 
     def overdue(self) -> bool:
         """Whether the camera has been silent for too long while it could be heard."""
-        exhausted = self.ring is not None and self.ring.exhausted
-        if exhausted and self.trigger is not Trigger.SOFTWARE:
-            self._heard_ns = now_ns()  # deaf, not silent: consumers hold every buffer
         pending = self._by_trigger.pending
         if self.trigger is Trigger.SOFTWARE and not (pending and pending[0].due_ns is not None):
             return False

@@ -23,7 +23,7 @@ from scanhsi.devices.errors import (
     UnsupportedFeature,
 )
 from scanhsi.devices.frames import Frame, FrameStream, Pixels
-from scanhsi.devices.pixels import unpack
+from scanhsi.devices.pixels import PixelFormat, unpack
 from scanhsi_aravis.armed import Armed, Times
 from scanhsi_aravis.errors import HINTS
 from scanhsi_aravis.options import AravisOptions
@@ -232,8 +232,15 @@ class AravisCamera:
         return self._armed_for("frames").channel
 
     async def unpack(self, frame: Frame, out: Pixels | None) -> None:
-        """Copy or unpack in the driver's own worker thread; when cancelled, ends before ``out`` may be used again."""
+        """Copy or unpack; when cancelled, ends before ``out`` may be used again.
+
+        A whole sensor of Mono12Packed takes up to 5 ms, so it is unpacked in a worker thread and does not delay the end of an
+        exposure. The other formats are copied in 0.1 to 0.3 ms, no more than the way to a worker and back costs.
+        """
         if out is None or frame.payload is None:
+            return
+        if frame.pixel_format is not PixelFormat.MONO12_PACKED:
+            unpack(frame.payload, frame.pixel_format, out)
             return
         job = asyncio.get_running_loop().run_in_executor(self._worker, unpack, frame.payload, frame.pixel_format, out)
         try:

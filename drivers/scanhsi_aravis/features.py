@@ -54,7 +54,7 @@ class Features:
     """
 
     def __init__(self, camera: Any) -> None:
-        self._camera = camera
+        self._camera: Any = camera
 
     def forget(self) -> None:
         """Let go of the camera; nothing else may be called then."""

@@ -64,9 +64,9 @@ class AravisOptions(BaseModel):
         description="Time to read a frame out. Without it: 1 / the highest frame rate that the camera tells at these settings.",
     )
     triggers_in_flight: Literal[1, 2] = Field(
-        default=1,
-        description="Software triggers whose frame has not arrived: 1 waits for each frame before the next trigger, so that no two "
-        "can merge; 2 lets the next exposure overlap with the transfer of the last frame.",
+        default=2,
+        description="Software triggers whose frame has not arrived. 2: the next exposure overlaps with the transfer of the last "
+        "frame, but never with the last exposure. 1: each frame is waited for, for cameras that lose a trigger then.",
     )
     frame_timeout_s: float = Field(
         default=1.0,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ class Ring:
         stream: Address of the stream; the caller frees it, after `close`.
         payload_bytes: Size of a frame on the wire: Aravis reports success for a buffer that was too small.
         count: Number of buffers.
+
+    Attributes:
+        heard_again_ns: When the first buffer came back after consumers had held all of them, CLOCK_MONOTONIC.
     """
 
     def __init__(self, calls: Calls, stream: int, payload_bytes: int, count: int) -> None:
@@ -34,6 +38,7 @@ class Ring:
         self._push, self._unref = calls.push, calls.unref
         self._stream: int | None = stream
         self._leased = 0
+        self.heard_again_ns = 0
         # Re-entrant: the garbage collector may end a lease while this thread holds the lock.
         self._lock = threading.RLock()
         slot = -(-payload_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
@@ -59,6 +64,8 @@ class Ring:
     def end_lease(self, buffer: int) -> None:
         """The last view of a buffer died."""
         with self._lock:
+            if self.exhausted:
+                self.heard_again_ns = time.monotonic_ns()
             self._leased -= 1
             self.give_back(buffer)
 

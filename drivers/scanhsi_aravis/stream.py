@@ -42,6 +42,7 @@ class Arrival:
         problem: Why it is not whole.
         frame_id: As the camera counts.
         device_ns: The camera's time stamp, or None.
+        stamped_ns: The same on the loop's clock, where the camera's clock is this computer's (a twin), or None.
         first_byte_ns: When the first packet came, or None.
     """
 
@@ -50,6 +51,7 @@ class Arrival:
     problem: str = ""
     frame_id: int = 0
     device_ns: int | None = None
+    stamped_ns: int | None = None
     first_byte_ns: int | None = None
 
 
@@ -104,16 +106,18 @@ class Receiver:
             if status == _SUCCESS:
                 problem = f"{received.value} bytes came instead of {self._ring.payload_bytes}"
             return Arrival(now_ns, problem=problem)
+        device_ns = calls.buffer_device_ns(buffer)
         return Arrival(
             now_ns,
             payload=self._ring.lease(buffer),
             frame_id=calls.buffer_frame_id(buffer),
-            device_ns=calls.buffer_device_ns(buffer) or None,
+            device_ns=device_ns or None,
+            stamped_ns=_loop_ns(device_ns, now_ns),
             first_byte_ns=_loop_ns(calls.buffer_wall_ns(buffer), now_ns),
         )
 
 
 def _loop_ns(wall_ns: int, now_ns: int) -> int | None:
-    """A recent wall-clock stamp on the loop's clock; None when the wall clock was set in between, or there is no stamp."""
+    """A wall-clock stamp of the last 10 s on the loop's clock; None for what is no such stamp."""
     age_ns = time.time_ns() - wall_ns
     return now_ns - age_ns if 0 <= age_ns < 10_000_000_000 else None

@@ -7,8 +7,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from scanhsi_aravis.lib import Calls
 
 STREAM = 1
@@ -64,7 +62,7 @@ class FakeStream:
     def _new(self, size: int, address: int) -> int:
         pointer = 1000 + len(self.buffers)
         self.buffers[pointer] = Buffer(size, address)
-        np.frombuffer((ctypes.c_uint8 * size).from_address(address), np.uint8)  # mapped, or this is a crash
+        ctypes.memset(address, 0, size)  # mapped and writable, or this is a crash
         return pointer
 
     def _push(self, stream: int, pointer: int) -> None:

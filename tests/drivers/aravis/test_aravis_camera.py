@@ -3,7 +3,7 @@
 import asyncio
 import gc
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -41,7 +41,7 @@ def camera(twin: Twin, **options: Any) -> AravisCamera:
 
 
 @asynccontextmanager
-async def opened(twin: Twin, settings: CameraSettings = SMALL, **options: Any) -> AsyncIterator[AravisCamera]:
+async def opened(twin: Twin, settings: CameraSettings = SMALL, **options: Any) -> AsyncGenerator[AravisCamera]:
     """A connected and configured camera, closed in the end."""
     device = camera(twin, **options)
     await device.connect()
@@ -146,7 +146,7 @@ def test_aravis_checks_ranges_too(twin: Twin) -> None:
     async def main() -> None:
         async with opened(twin) as device:
             with pytest.raises(OutOfRange, match=r"Aravis says: .*ExposureTimeAbs"):
-                device._session.configure(CameraSettings(1000, roi=SMALL.roi))
+                device._session.configure(CameraSettings(1000, roi=SMALL.roi))  # pyright: ignore[reportPrivateUsage]
 
     run(main())
 
@@ -198,7 +198,7 @@ def test_pixels_are_exact(twin: Twin, pixel_format: PixelFormat, roi: Roi | None
     run(main())
 
 
-@pytest.mark.parametrize("options", [{}, {"triggers_in_flight": 2}])
+@pytest.mark.parametrize("options", [{}, {"triggers_in_flight": 1}])
 def test_software_triggers(twin: Twin, options: dict[str, Any]) -> None:
     async def main() -> None:
         async with opened(twin, **options) as device:
@@ -249,18 +249,21 @@ def test_free_run(twin: Twin) -> None:
             assert [frame.index for frame in frames] == list(range(20))
             stamps = np.array([frame.device_ns for frame in frames], np.int64)
             assert np.median(np.diff(stamps)) == pytest.approx(25e6, rel=0.02)
-            assert all((frame.exposure_start_ns or 0) < (frame.first_byte_ns or 0) for frame in frames)
+            starts = np.array([frame.exposure_start_ns for frame in frames], np.int64)
+            first_bytes = np.array([frame.first_byte_ns for frame in frames], np.int64)
+            assert (first_bytes - starts >= 2_000_000).all(), "a frame cannot come before its exposure is over"
+            np.testing.assert_allclose(np.diff(starts), np.diff(stamps), atol=1e6)
 
     run(main())
 
 
 def test_consumer_that_holds_every_buffer(twin: Twin) -> None:
     async def main() -> None:
-        async with opened(twin, frame_timeout_s=0.05) as device:
+        async with opened(twin, frame_timeout_s=0.3) as device:
             await device.arm(Trigger.FREE_RUN, 4)
             held = [await take(device) for _ in range(4)]
             copies = [np.array(frame.payload) for frame in held]
-            await asyncio.sleep(0.4)  # longer than the watchdog's patience: the camera is not to blame
+            await asyncio.sleep(0.8)  # longer than the watchdog's patience: the camera is not to blame
             assert all((frame.payload == copy).all() for frame, copy in zip(held, copies, strict=True))
             held.clear()
             async with asyncio.timeout(5):

@@ -253,3 +253,18 @@ def test_views_survive_a_lost_camera(own_twin: Twin) -> None:
     assert frame.payload is not None
     assert np.count_nonzero(frame.payload) > 0
     assert not os.path.exists(f"/proc/{own_twin.process.pid}")
+
+
+def test_control_taken_away(own_twin: Twin) -> None:
+    """Aravis tells it by a signal in its heartbeat thread, after seconds; here the signal is sent by hand."""
+
+    async def main() -> None:
+        device = await ready(own_twin)
+        await device.arm(Trigger.SOFTWARE, 4)
+        waiting = asyncio.ensure_future(anext(device.frames()))
+        await asyncio.to_thread(device._session._device.emit, "control-lost")  # pyright: ignore[reportPrivateUsage]
+        with pytest.raises(DeviceLost, match="control of it was lost"):
+            await waiting
+        await check_lost_for_good(device)
+
+    run(main())

@@ -57,9 +57,11 @@ def test_the_buffer_goes_back_with_the_last_view_of_it() -> None:
     assert not stream.free
     assert not stream.complete(8), "a frame was written over one that is still in use"
     assert (corner == 0x0707).all()
+    assert not ring.heard_again_ns
     del corner
     assert len(stream.free) == 1
     assert not ring.exhausted
+    assert ring.heard_again_ns > 0
 
 
 def test_a_view_dies_in_another_thread() -> None:
