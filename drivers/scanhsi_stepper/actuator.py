@@ -7,7 +7,7 @@ import contextlib
 
 from scanhsi.clock import now_ns, sleep_until_ns
 from scanhsi.devices.actuator import ActuatorInfo, Motion
-from scanhsi.devices.capabilities import Sweep
+from scanhsi.devices.capabilities import Sighting, Sweep
 from scanhsi.devices.errors import (
     DeviceBusy,
     DeviceError,
@@ -20,7 +20,7 @@ from scanhsi.devices.errors import (
 from scanhsi.devices.values import Range
 from scanhsi_stepper.errors import boot_error, device_name, fail_error
 from scanhsi_stepper.link import Counters, StepperLink
-from scanhsi_stepper.motions import Finished, halt, run_motion
+from scanhsi_stepper.motions import Finished, halt, read_status, run_motion
 from scanhsi_stepper.options import StepperOptions
 from scanhsi_stepper.port import close_port, open_port
 from scanhsi_stepper.protocol import SEQ_MAX, encode
@@ -275,6 +275,14 @@ class StepperActuator:
                 )
         await self._settle()
         return Motion(self._position, finished.began_ns + round(plan.run_up_s * 1e9), now_ns(), pulses)
+
+    async def locate(self) -> Sighting:
+        """Ask where the mirror is, also during a motion. The answer is some time between question and reply."""
+        link = self._connected("locate")
+        asked = now_ns()
+        status = await read_status(link)
+        answered = now_ns()
+        return Sighting(status.position, (asked + answered) // 2, (answered - asked) // 2)
 
     # --- state ----------------------------------------------------------------------------------------------------
 

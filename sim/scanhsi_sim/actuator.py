@@ -11,7 +11,7 @@ import asyncio
 import math
 
 from scanhsi.clock import now_ns, sleep_until_ns
-from scanhsi.devices import ActuatorInfo, Motion, Range, Sweep
+from scanhsi.devices import ActuatorInfo, Motion, Range, Sighting, Sweep
 from scanhsi.devices.errors import DeviceBusy, DeviceError, MotionFailed
 from scanhsi.timing.delays import DelayStreams
 from scanhsi_sim.bench import Mirror, bench
@@ -146,6 +146,15 @@ class SimulatedActuator:
             self._bench.pulse(when_ns)
         await self._arrive(end_ns, end, "sweep")
         return Motion(end, passes_ns[0], now_ns(), pulses=sweep.count if sweep.pulses else 0)
+
+    async def locate(self) -> Sighting:
+        """Where the mirror is, exactly: the step it passed last."""
+        if self._info is None:
+            raise DeviceError("it is not connected.", device=self._name, operation="locate")
+        at_ns = now_ns()
+        place, ahead = self._bench.mirror.position(at_ns), self._bench.mirror.position(at_ns + 1000)
+        step = math.floor(place + 1e-3) if ahead >= place else math.ceil(place - 1e-3)
+        return Sighting(step, at_ns, 0)
 
     def _ends(self, sweep: Sweep) -> tuple[int, int]:
         """Steps at which the run-up begins and the run-out ends: a line is exposed behind its place, so the run-out is longer."""

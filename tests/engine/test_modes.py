@@ -196,6 +196,24 @@ def test_a_pulse_that_the_camera_ignored_shifts_no_line(ignored: int) -> None:
         assert np.all(sink.pixels[line] == 10 + line), line
 
 
+@pytest.mark.parametrize("stall_ms", [17, 30, 100])
+def test_a_mirror_that_falls_behind_loses_no_line(stall_ms: float) -> None:
+    """A late frame alone proves nothing: the actuator is asked, and no line is taken for lost."""
+    bench, sink = Bench(stalls={4: stall_ms, 9: stall_ms}), MemorySink()
+    report = scan(Mode.CONTINUOUS, bench, sink, first=10)
+    assert report.missing_reasons == {}
+    for line in range(LINES):
+        assert np.all(sink.pixels[line] == 10 + line), line
+
+
+def test_lost_pulses_and_a_mirror_that_falls_behind() -> None:
+    bench, sink = Bench(stalls={4: 50}, ignore=frozenset({6, 7})), MemorySink()
+    report = scan(Mode.CONTINUOUS, bench, sink, first=10)
+    assert list(report.missing_reasons) == [6, 7]
+    for line in set(range(LINES)) - {6, 7}:
+        assert np.all(sink.pixels[line] == 10 + line), line
+
+
 def test_free_running_camera_in_a_sweep() -> None:
     bench, sink = Bench(), MemorySink()
 

@@ -26,6 +26,7 @@ from scanhsi.devices import (
     PixelFormat,
     Pixels,
     Range,
+    Sighting,
     Sweep,
     Trigger,
     check_settings,
@@ -48,6 +49,7 @@ class Bench:
     lose: frozenset[int] = frozenset()  # exposures whose frame is reported as a gap
     swallow: frozenset[int] = frozenset()  # exposures whose frame never comes, without a word
     ignore: frozenset[int] = frozenset()  # pulses that the camera does not see
+    stalls: dict[int, float] = field(default_factory=dict)  # pulse -> ms by which the mirror falls behind there
     operations: int = 0
     position: int = 7
     homed: bool = True
@@ -287,12 +289,21 @@ class BenchActuator:
         passing = now_ns() + 10_000_000
         period = abs(sweep.every) / sweep.rate_steps_s * 1e9
         for number in range(sweep.count):
+            if number in self.bench.stalls:
+                passing += _ns(self.bench.stalls[number])
             await sleep_until_ns(passing + round(number * period))
             self.bench.position = sweep.first + number * sweep.every
             if sweep.pulses and self.bench.on_pulse is not None:
                 self.bench.on_pulse(number)
+        await asyncio.sleep(period * 1e-9)
+        self.bench.position = sweep.last + sweep.every
         await asyncio.sleep(0.010)
-        return Motion(self.bench.position + 40, passing, now_ns(), sweep.count if sweep.pulses else 0)
+        return Motion(self.bench.position, passing, now_ns(), sweep.count if sweep.pulses else 0)
+
+    async def locate(self) -> Sighting:
+        asked = now_ns()
+        await asyncio.sleep(0.002)
+        return Sighting(self.bench.position, (asked + now_ns()) // 2, (now_ns() - asked) // 2)
 
 
 class MemorySink:

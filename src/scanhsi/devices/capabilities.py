@@ -37,6 +37,21 @@ class Sweep:
         return self.first + self.every * (self.count - 1)
 
 
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """Where the mirror was seen in the middle of a motion.
+
+    Attributes:
+        step: Position, in whole steps as the controller counts them.
+        at_ns: When, loop clock.
+        uncertain_ns: By how much ``at_ns`` may be wrong, either way.
+    """
+
+    step: int
+    at_ns: int
+    uncertain_ns: int
+
+
 @runtime_checkable
 class Sweeps(Protocol):
     """An actuator that moves at constant velocity, with position triggers where asked and possible."""
@@ -65,6 +80,13 @@ class Sweeps(Protocol):
 
         ``Motion.commanded_ns`` is the time at which the motion *passed ``first``* where the driver knows it, else when it was
         commanded; ``Motion.pulses`` counts the pulses given.
+        """
+        ...
+
+    async def locate(self) -> Sighting:
+        """Ask the controller where the mirror is; may run beside `sweep`.
+
+        The engine asks when the frames of a sweep make it doubt which line they belong to.
         """
         ...
 

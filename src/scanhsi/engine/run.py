@@ -187,7 +187,7 @@ async def _acquire_sweeping(scan: Scan, sweep: Sweep, trigger: Trigger) -> None:
     async with Deadline(scan.deadlines.first_move_s, "prepare_sweep", device=scan.actuator.info.name):
         await actuator.prepare_sweep(sweep)
     await _arm(scan, trigger)
-    places = Places(abs(sweep.every) / sweep.rate_steps_s, trigger, passing_ns(actuator.run_up_s(sweep)))
+    places = Places(sweep, trigger, passing_ns(actuator.run_up_s(sweep)), actuator)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(sweep_past(scan, sweep), name="control")
         tasks.create_task(receive_sweep(scan, sweep, places), name="receive")

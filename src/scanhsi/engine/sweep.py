@@ -1,53 +1,47 @@
 """Continuous scans: which line a frame belongs to, when the camera alone decides when to expose.
 
 The engine does not trigger these exposures, so a pulse that the camera ignored, because it was still busy, leaves no trace in the
-frame numbers: every later frame would be stored one line too early. The time stamps tell. A frame that comes three quarters of
-a period or more behind its place was preceded by a lost pulse; frames and lost pulses together must make up exactly the lines of
-the sweep, or the scan fails rather than put pixels in the wrong place.
+frame numbers: every later frame would be stored one line too early. The camera's time stamps raise the doubt: a frame that comes
+three quarters of a period or more after its due time. Then the actuator is asked where the mirror is, which settles it. In the end
+frames and lost pulses must make up exactly the lines of the sweep, or the scan fails rather than put pixels in the wrong place.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
 
-from scanhsi.clock import now_ns
-from scanhsi.devices import Frame, FrameEvent, FrameGap, FrameStream, Sweep, Trigger
+from scanhsi.clock import now_ns, sleep_until_ns
+from scanhsi.devices import Frame, FrameEvent, FrameGap, FrameStream, Sweep, Sweeps, Trigger
 from scanhsi.devices.errors import DeviceTimeout, ProtocolError
 from scanhsi.engine.receive import hand_on, past, take
 from scanhsi.engine.scan import Scan
 
 LATE = 0.75
-"""Part of a period by which a frame must be late to prove that a pulse was lost."""
+"""Part of a period by which a frame must be late to raise the doubt that a pulse was lost."""
+_SIGHTINGS = 6
+_GUARD = 0.15
+"""A sighting this close to a line, in periods, could be on either side of it: look again."""
 
 
 class Places:
     """Gives each exposure its line.
 
     Args:
-        period_s: Of the lines.
+        sweep: As it runs.
         trigger: LINE counts pulses; FREE_RUN counts the camera's own beats from the moment the mirror passes the first line.
         passing_ns: When the mirror passes the first line, as announced.
+        actuator: Is asked where the mirror is, in doubt.
     """
 
-    def __init__(self, period_s: float, trigger: Trigger, passing_ns: int) -> None:
-        self._period_ns = period_s * 1e9
+    def __init__(self, sweep: Sweep, trigger: Trigger, passing_ns: int, actuator: Sweeps) -> None:
+        self._sweep = sweep
+        self._period_ns = abs(sweep.every) / sweep.rate_steps_s * 1e9
         self._trigger = trigger
         self._passing_ns = passing_ns
-        self._origin: tuple[int, int] | None = None
+        self._actuator = actuator
+        self._previous: Frame | None = None
         self._shift = 0
-
-    def line_of(self, frame: Frame) -> int:
-        """Line of a frame; negative for one exposed before the mirror passed the first line."""
-        if self._origin is None:
-            return self._first(frame)
-        line = frame.index + self._shift
-        if frame.device_ns is not None and self._trigger is Trigger.LINE:
-            first_line, first_ns = self._origin
-            late = first_line + (frame.device_ns - first_ns) / self._period_ns - line
-            if late > LATE:
-                self._shift += round(late)
-                line += round(late)
-        return line
 
     @property
     def shifted(self) -> bool:
@@ -58,17 +52,42 @@ class Places:
         """Line of an exposure whose frame is lost."""
         return index + self._shift
 
-    def _first(self, frame: Frame) -> int:
-        """The first frame anchors the rest."""
-        line = frame.index
-        if frame.exposure_start_ns is not None:
-            late = (frame.exposure_start_ns - self._passing_ns) / self._period_ns - frame.index
-            if self._trigger is Trigger.FREE_RUN or late > LATE:
-                self._shift = round(late)
-            line += self._shift
-        if frame.device_ns is not None:
-            self._origin = (line, frame.device_ns)
-        return line
+    async def line_of(self, frame: Frame) -> int:
+        """Line of a frame; negative for one exposed before the mirror passed the first line."""
+        if self._trigger is Trigger.FREE_RUN:
+            if self._previous is None:
+                self._shift = round(self._late(frame))
+        elif (late := self._late(frame)) > LATE:
+            seen = await self._seen(frame)
+            self._shift = max(self._shift, round(late) + self._shift if seen is None else seen - frame.index)
+        self._previous = frame
+        return frame.index + self._shift
+
+    def _late(self, frame: Frame) -> float:
+        """How late a frame is, in periods: by the camera's clock after its predecessor, the first by the announced passing."""
+        previous = self._previous
+        if previous is None:
+            start_ns = self._passing_ns if frame.exposure_start_ns is None else frame.exposure_start_ns
+            return (start_ns - self._passing_ns) / self._period_ns - frame.index
+        if frame.device_ns is None or previous.device_ns is None:
+            return 0.0
+        return (frame.device_ns - previous.device_ns) / self._period_ns - (frame.index - previous.index)
+
+    async def _seen(self, frame: Frame) -> int | None:
+        """Line of a frame by where the mirror is now and the time since its exposure began; None when that cannot be told."""
+        if frame.exposure_start_ns is None:
+            return None
+        for _ in range(_SIGHTINGS):
+            seen = await self._actuator.locate()
+            passed = math.floor((seen.step - self._sweep.first) / self._sweep.every)
+            if passed >= self._sweep.count:
+                return None
+            periods = (seen.at_ns - frame.exposure_start_ns) / self._period_ns
+            guard = _GUARD + seen.uncertain_ns / self._period_ns
+            if guard < periods % 1 < 1 - guard:
+                return passed - math.floor(periods)
+            await sleep_until_ns(seen.at_ns + round((1 + (0.5 - periods) % 1) * self._period_ns))
+        return None
 
 
 async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
@@ -85,7 +104,7 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
             until = min(places.line_of_exposure(past(event)), sweep.count)
             line = _lose(scan, range(line, until), event.reason)
             continue
-        place = places.line_of(event)
+        place = await places.line_of(event)
         if place < line:
             continue
         line = _lose(scan, range(line, min(place, sweep.count)), "the camera was still busy when this line was due")
