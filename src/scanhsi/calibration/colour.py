@@ -38,7 +38,7 @@ def _tables() -> NDArray[np.float64]:
 
 
 def xyz_matrix(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-    """Weight of each band in XYZ, which is then ``reflectance @ xyz_matrix(wavelength_nm)``.
+    """Weights of the bands in X, Y and Z: multiply reflectances by them from the right.
 
     Args:
         wavelength_nm: (bands,) centres, in any order.

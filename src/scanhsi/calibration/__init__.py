@@ -1,0 +1,1 @@
+"""From counts to what they mean: colour, quick pictures."""
