@@ -1,8 +1,8 @@
 """A first look at a raw cube: its colours, and one band.
 
 Colour needs reflectance, and a raw cube has no references. So it is assumed, band by band, that the darkest hundredth of the
-picture is black and that its brightest two-hundredth is a white patch. With a white strip or tile in view colours are right; without,
-what is brightest turns white. Where something is known to be white, say so with ``white``. Brightness is relative either way.
+picture is black and that its brightest two-hundredth is a white patch. With a white strip or tile in view colours are right;
+without, what is brightest turns white. Where something is known to be white, say so with ``white``. Brightness is relative.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -98,8 +99,7 @@ def quicklook(
     binning = (math.ceil(len(missing) / _LONGEST_SIDE), math.ceil(dataset.sizes["sample"] / _LONGEST_SIDE))
     spectra, band = _shrink(dataset, bands, ~missing, binning)
     black, reference, note = _references(spectra, white, binning, _name(cube))
-    reflectance = (spectra - black[:, None, None]) / np.maximum(reference - black, 1e-3)[:, None, None]
-    colour, how = _colours(np.moveaxis(reflectance, 0, -1), bands.wavelength_nm)
+    colour, how = _colours(spectra, black, np.maximum(reference - black, 1e-3), bands.wavelength_nm)
     return Quicklook(
         colour=colour,
         true_colour=bands.wavelength_nm is not None,
@@ -118,14 +118,18 @@ def _name(cube: str | Path | xr.Dataset) -> str:
     return "the cube" if isinstance(cube, xr.Dataset) else str(cube)
 
 
-def _colours(reflectance: Floats, wavelength_nm: NDArray[np.float64] | None) -> tuple[Floats, str]:
-    """sRGB of reflectances (rows, columns, groups), and how it was made."""
+def _colours(
+    spectra: Floats, black: Floats, span: Floats, wavelength_nm: NDArray[np.float64] | None
+) -> tuple[Floats, str]:
+    """sRGB (rows, columns, 3) of counts (groups, rows, columns), and how it was made."""
     if wavelength_nm is None:
-        blue_first = np.clip(reflectance, 0, 1) ** np.float32(1 / 2.2)
-        return blue_first[
-            ..., [-1, reflectance.shape[-1] // 2, 0]
-        ], "false colour: thirds of the bands, no visible wavelengths"
-    return xyz_to_srgb(reflectance @ xyz_matrix(wavelength_nm)).astype(np.float32), "CIE 1931, D65"
+        thirds = [np.clip((spectra[group] - black[group]) / span[group], 0, 1) for group in (-1, len(spectra) // 2, 0)]
+        return np.stack(thirds, axis=-1) ** np.float32(
+            1 / 2.2
+        ), "false colour: thirds of the bands, no visible wavelengths"
+    weights = (xyz_matrix(wavelength_nm) / span[:, None]).astype(np.float32)  # reflectance is (counts - black) / span
+    xyz = np.tensordot(spectra, weights, axes=(0, 0)) - black @ weights
+    return xyz_to_srgb(xyz).astype(np.float32), "CIE 1931, D65"
 
 
 def _choose_bands(dataset: xr.Dataset, band_nm: float) -> _Bands:
@@ -185,8 +189,8 @@ def _blocks(cube: xr.DataArray, binning: int) -> Iterator[slice]:
 
 def _means(values: NDArray[Any], edges: NDArray[np.intp], size: int) -> Floats:
     """Means over groups of bands and over ``size`` neighbouring samples: (groups, lines, columns)."""
-    starts = np.arange(0, values.shape[2], size)
-    groups = (values[low:high].sum(axis=0, dtype=np.uint32) for low, high in zip(edges[:-1], edges[1:], strict=True))
+    starts = np.arange(0, values.shape[2], size, dtype=np.intp)
+    groups = (values[low:high].sum(axis=0, dtype=np.uint32) for low, high in pairwise(edges))
     summed = np.stack([np.add.reduceat(group, starts, axis=1) for group in groups])
     pixels = np.diff(edges)[:, None, None] * np.diff(np.append(starts, values.shape[2]))
     return (summed / pixels).astype(np.float32)
