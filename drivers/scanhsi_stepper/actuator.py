@@ -87,7 +87,8 @@ class StepperActuator:
         self._link = link
         try:
             self._info = self._describe(await self._identify(link))
-            self._position_lost, self._homed, self._plan = False, False, None
+            self._position_lost, self._plan = False, None
+            self._homed = options.home_direction is None  # no switch: the controller's count is all there is
             await self._halt(link)  # a motion that an earlier program left running; also asks for the position
             await self._set_up(link)
         except BaseException:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from scanhsi_stepper.ramp import Profile
+
+
+def _none(value: object) -> object:
+    """TOML has no null."""
+    return None if value == "none" else value
 
 
 class StepperOptions(BaseModel):
@@ -30,9 +35,12 @@ class StepperOptions(BaseModel):
     backlash_steps: int = Field(
         default=0, ge=0, le=10_000, description="Play of the drive; moves then arrive from below."
     )
-    home_direction: Literal[-1, 1] | None = Field(
+    home_direction: Annotated[Literal[-1, 1] | None, BeforeValidator(_none)] = Field(
         default=-1,
-        description="Direction in which the home switch is sought. Without it (null) `home` takes the present position as 0.",
+        description=(
+            'Direction in which the home switch is sought; "none" without a switch: steps then count from where the mirror stood '
+            "when the controller started, or was last told to home."
+        ),
     )
     home_limit_steps: int = Field(default=21_000, ge=1, le=1_000_000, description="Longest way to the home switch.")
     trigger_width_us: int = Field(default=50, ge=5, le=10_000, description="Width of the trigger pulses of a sweep.")

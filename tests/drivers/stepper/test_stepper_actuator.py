@@ -219,10 +219,11 @@ def test_home_makes_zero_known(play: Any) -> None:
 
 def test_home_without_a_switch_takes_the_present_place(play: Any) -> None:
     async def scenario(actuator: StepperActuator, peer: Controller) -> None:
+        assert (actuator.position, actuator.homed) == (30, True)  # the controller's count is all there is
         await actuator.home()
         assert (actuator.position, actuator.homed) == (0, True)
 
-    assert "Z 0" in play(scenario, Controller(position=30), home_direction=None).executed
+    assert "Z 0" in play(scenario, Controller(position=30), home_direction="none").executed
 
 
 def test_home_without_finding_the_sensor(play: Any) -> None:
