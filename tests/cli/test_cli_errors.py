@@ -171,6 +171,17 @@ def test_a_failed_scan_tells_programs_its_causes() -> None:
     assert second["message"] == "then"
 
 
+def test_devices_that_fail_together_are_told_one_by_one(cli: Cli, mini: Path) -> None:
+    port = 'driver = "stepper"\nport = "/dev/no-such-port"\n[geometry]'
+    mini.write_text(MINI.replace(ACTUATOR, port))
+    assert cli("scan", mini, "--discard", "--json").object["error"]["type"] == "DeviceNotFound"
+    both = errors.DeviceError("2 devices did not connect:")
+    both.__cause__ = ExceptionGroup(
+        "", [errors.DeviceBusy("taken", device="camera x"), errors.DeviceNotFound("no port")]
+    )
+    assert [cause["type"] for cause in describe_error(both)["causes"]] == ["DeviceBusy", "DeviceNotFound"]
+
+
 def test_a_bug_is_shown_whole(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     def bug(*_: object) -> None:
         raise ZeroDivisionError("deep inside")
