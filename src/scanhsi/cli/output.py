@@ -67,7 +67,8 @@ def describe_error(error: BaseException) -> dict[str, Any]:
         described |= {"stored": error.stored, "lines": error.lines, "output": error.output}
         described["causes"] = [describe_error(cause) for cause in error.causes]
     elif isinstance(error.__cause__, ExceptionGroup):  # several devices failed at once
-        described["causes"] = [describe_error(cause) for cause in error.__cause__.exceptions]
+        group = cast("ExceptionGroup[Exception]", error.__cause__)
+        described["causes"] = [describe_error(cause) for cause in group.exceptions]
     return described
 
 
