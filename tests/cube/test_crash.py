@@ -66,17 +66,27 @@ def die_at_write(monkeypatch: pytest.MonkeyPatch) -> Callable[[int | None], list
     return arm
 
 
-async def feed_and_flush(writer: CubeWriter, records: LineRecords) -> None:
-    await feed(writer, SPEC, records, range(SPEC.lines), MISSING)
+async def feed_and_flush(writer: CubeWriter, records: LineRecords, reach: int = SPEC.lines) -> None:
+    await feed(writer, SPEC, records, range(reach), MISSING)
     await writer.flush()
 
 
-async def scan(path: Path) -> None:
+async def scan(path: Path, reach: int = SPEC.lines) -> None:
     records = LineRecords(SPEC.lines)
     writer = CubeWriter(path, SPEC, lines_per_shard=4)
     await writer.open(records)
-    await feed_and_flush(writer, records)
+    await feed_and_flush(writer, records, reach)
     await writer.close()
+
+
+def scan_and_die(path: Path, count: int, reach: int) -> int | None:
+    """Scan until so many files are written, then check what is there; how many lines, or None where nothing is."""
+    with pytest.raises(CubeError, match="the disk is gone"):
+        clock.run(scan(path, reach), virtual=True)
+    stored = check_cube(path, SPEC) if path.exists() else None
+    shutil.rmtree(path, ignore_errors=True)
+    assert [file.name for file in path.parent.iterdir()] == ["whole.zarr"], count
+    return stored
 
 
 def test_killed_between_any_two_files(tmp_path: Path, die_at_write: Callable[[int | None], list[str]]) -> None:
@@ -84,17 +94,21 @@ def test_killed_between_any_two_files(tmp_path: Path, die_at_write: Callable[[in
     clock.run(scan(tmp_path / "whole.zarr"), virtual=True)
     stored: list[int | None] = []
     for count in range(len(written)):
-        path = tmp_path / f"{count}.zarr"
         die_at_write(count)
-        with pytest.raises(CubeError, match="the disk is gone"):
-            clock.run(scan(path), virtual=True)
-        if path.exists():
-            stored.append(check_cube(path, SPEC))
-        else:  # died while it was being created
-            assert not stored
-        shutil.rmtree(path, ignore_errors=True)
-        assert [file.name for file in tmp_path.iterdir()] == ["whole.zarr"]
-    assert sorted(set(stored)) == [0, 3, 7, 9]
+        stored.append(scan_and_die(tmp_path / "a.zarr", count, SPEC.lines))
+    created = stored.index(0)
+    assert stored[:created] == [None] * created
+    assert list(dict.fromkeys(stored[created:])) == [0, 3, 7, 9]
+
+
+def test_killed_while_a_short_cube_is_cut(tmp_path: Path, die_at_write: Callable[[int | None], list[str]]) -> None:
+    written = die_at_write(None)
+    clock.run(scan(tmp_path / "whole.zarr", 5), virtual=True)
+    last_status = max(number for number, name in enumerate(written) if "/status/c/" in name)
+    assert len(written) - last_status > 16
+    for count in range(last_status + 1, len(written)):
+        die_at_write(count)
+        assert scan_and_die(tmp_path / "a.zarr", count, 5) == 4
 
 
 def test_status_is_the_last_file_of_a_shard(tmp_path: Path, die_at_write: Callable[[int | None], list[str]]) -> None:
@@ -179,7 +193,7 @@ KILLER = Path(__file__).with_name("killed_writer.py")
 def test_killed_at_random_moments(tmp_path: Path) -> None:
     rng = random.Random(1)
     moments = [f"-1:{rng.uniform(0, 0.1)}" for _ in range(4)]
-    moments += [f"{rng.randrange(14)}:{rng.uniform(0, 0.03)}" for _ in range(10)]
+    moments += [f"{rng.randrange(14)}:{rng.uniform(0, 0.03)}" for _ in range(8)]
     subprocess.run([sys.executable, KILLER, tmp_path, *moments], check=True, timeout=100)
     from killed_writer import SPEC as KILLED_SPEC
 

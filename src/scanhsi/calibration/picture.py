@@ -43,7 +43,7 @@ def _draw(look: Quicklook, title: str) -> Figure:
     lines = len(look.missing)
     left, right, bottom, top = extent = look.extent_mm or (-0.5, look.samples - 0.5, lines - 0.5, -0.5)
     aspect = abs(bottom - top) / abs(right - left)
-    figure = Figure(figsize=(_WIDTH_IN, float(np.clip(5.4 * aspect + 1.4, 3.4, 14))), layout="constrained")
+    figure = Figure(figsize=(_WIDTH_IN, float(np.clip(5.1 * aspect + 1.1, 3.2, 14))), layout="constrained")
     FigureCanvasAgg(figure)
     colour, band = figure.subplots(1, 2, sharex=True, sharey=True)
     stretch = "equal" if 0.2 < aspect < 4 else "auto"
