@@ -67,8 +67,7 @@ def load() -> tuple[Any, Any]:
         import gi
 
         gi.require_version("Aravis", "0.8")
-        repository: Any = import_module("gi.repository")
-        return repository.Aravis, repository.GLib
+        return import_module("gi.repository.Aravis"), import_module("gi.repository.GLib")
 
 
 @contextmanager

@@ -15,17 +15,19 @@ class MirrorFile:
         self.path = path
         path.write_bytes(bytes(_LAYOUT.size))
         with path.open("r+b") as file:
-            self._memory = mmap.mmap(file.fileno(), _LAYOUT.size)
+            self._memory = mmap.mmap(file.fileno(), 0)
         self._position, self._count, self._sequence = position, 0, 0
-        self._write(last_step_ns=0)
+        self._write(0)
 
     def move_to(self, position: int) -> None:
         """Move the mirror there, at once."""
         self._count += abs(position - self._position)
         self._position = position
-        self._write(last_step_ns=time.monotonic_ns())
+        self._write(time.monotonic_ns())
 
-    def _write(self, last_step_ns: int) -> None:
-        self._sequence += 2
-        self._memory[8:] = _LAYOUT.pack(0, self._position, last_step_ns, self._count, 0, 0, 0)[8:]
+    def _write(self, host_ns: int) -> None:
+        self._sequence += 1
+        self._memory[:8] = struct.pack("<Q", self._sequence)  # odd: at work
+        self._memory[8:] = _LAYOUT.pack(0, self._position, host_ns, self._count, 0, 0, 0)[8:]
+        self._sequence += 1
         self._memory[:8] = struct.pack("<Q", self._sequence)

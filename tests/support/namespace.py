@@ -87,7 +87,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         item.add_marker(pytest.mark.timeout(0))
 
 
-def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     """Run a marked test in the child; anything else as always."""
     if not _runs_elsewhere(item):
         return None
@@ -95,6 +95,8 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
     for report in _reports_from_child(item):
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    # the fixtures of unmarked tests that ran here before, if nobody needs them any more
+    item.session._setupstate.teardown_exact(nextitem)  # pyright: ignore[reportPrivateUsage] (no public way)
     return True
 
 

@@ -6,7 +6,7 @@ It runs only in a private network namespace (`scanhsi_sim.twins.netns`) and ends
 ``ready ADDRESS``, then answers each line on standard input with one line:
 
 ``stats``
-    One JSON object: exposures, triggers lost, frames sent, lateness.
+    One JSON object: exposures, triggers lost, frames sent, exposures during which the mirror moved.
 ``freeze``, ``thaw``
     Stop answering and sending, and go on.
 ``drop N``
@@ -16,9 +16,6 @@ It runs only in a private network namespace (`scanhsi_sim.twins.netns`) and ends
 """
 
 import argparse
-import contextlib
-import ctypes
-import gc
 import json
 import os
 import queue
@@ -29,36 +26,49 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from scanhsi_sim.scenes import SCENES, Scene, load_scene
 from scanhsi_sim.twins import gvcp, netns, registers
-from scanhsi_sim.twins.fake import FakeCamera, MissingRequirement
-from scanhsi_sim.twins.mirror import MirrorReading, MirrorState
+from scanhsi_sim.twins.fake import FakeCamera
+from scanhsi_sim.twins.mirror_log import MirrorLog
+from scanhsi_sim.twins.native import MissingRequirement
 from scanhsi_sim.twins.payload import BITS, pack
-from scanhsi_sim.twins.sensor import Exposed, Sensor, Source
+from scanhsi_sim.twins.sensor import Exposure, Sensor, Source
 
 ADDRESS = "127.0.0.1"
 GENICAM = Path(__file__).with_name("mako.xml")
 MEMORY_FRAMES = 4
 """Frames the camera can keep that are not yet sent."""
 
-_PR_SET_TIMERSLACK = 29
+STEPS_PER_TURN = 19_200
 
 
 @dataclass(slots=True)
 class Twin:
-    """The running camera: a thread for the sensor's timing, one that renders and sends, and Aravis' own."""
+    """The running camera: a thread that times exposures, one that renders and sends frames, and Aravis' own.
+
+    Attributes:
+        span: Lowest and highest mirror position between two times (`MirrorLog.span`).
+    """
 
     camera: FakeCamera
     scene: Scene
-    sensor: Sensor
-    finished: queue.SimpleQueue[tuple[int, Exposed]]
+    span: Callable[[int, int], tuple[int, int]]
     listener: gvcp.Listener
-    triggers: socket.socket | None
+    pulses: socket.socket | None
+    sensor: Sensor = field(init=False)
+    smeared: int = 0
+    _memory: queue.SimpleQueue[tuple[int, Exposure]] = field(default_factory=queue.SimpleQueue[tuple[int, Exposure]])
     _acquisition: int = 0  # counts them: frames of an earlier one are not sent any more
     _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def __post_init__(self) -> None:
+        self.sensor = Sensor(lambda: self._memory.qsize() < MEMORY_FRAMES)
 
     def run(self) -> None:
         """Start the threads."""
@@ -66,39 +76,41 @@ class Twin:
             threading.Thread(target=work, name=work.__name__, daemon=True).start()
 
     def _time_exposures(self) -> None:
-        _hurry()
-        sources = [self.listener, *([self.triggers] if self.triggers else [])]
+        sources = [self.listener, *([self.pulses] if self.pulses else [])]
         while True:
             due_ns = self.sensor.wakeup_ns()
             timeout_s = None if due_ns is None else max(0.0, (due_ns - time.monotonic_ns()) * 1e-9)
             ready, _, _ = select.select(sources, [], [], timeout_s)
-            now_ns = time.monotonic_ns()
-            for exposed in self.sensor.advance(now_ns):
-                self.finished.put((self._acquisition, exposed))
-            if self.triggers in ready:
-                self._take_pulse(now_ns)
-            if self.listener in ready:
-                self._take_packet(now_ns)
+            self._advance()
+            for event in self.listener.receive():  # before the pulses: it may arm the camera for them
+                self._advance()
+                self._take(event)
+            if self.pulses in ready:
+                self._advance()
+                self._take_pulse()
 
-    def _take_pulse(self, now_ns: int) -> None:
-        if self.triggers:
-            _, position, host_ns = struct.unpack("<qqq", self.triggers.recv(24))
-            self.sensor.trigger(Source.LINE1, host_ns, now_ns, position)
+    def _advance(self) -> None:
+        for exposure in self.sensor.advance(time.monotonic_ns()):
+            self._memory.put((self._acquisition, exposure))
 
-    def _take_packet(self, now_ns: int) -> None:
-        event = self.listener.receive()
+    def _take_pulse(self) -> None:
+        if self.pulses:
+            _, _, host_ns = struct.unpack("<qqq", self.pulses.recv(24))
+            self.sensor.trigger(Source.LINE1, host_ns)
+
+    def _take(self, event: gvcp.Write | gvcp.Written) -> None:
         if isinstance(event, gvcp.Write):
             if event.address == registers.TRIGGER_SOFTWARE and event.value == 1:
-                self.sensor.trigger(Source.SOFTWARE, event.host_ns, now_ns)
+                self.sensor.trigger(Source.SOFTWARE, event.host_ns)
             elif event.address == registers.ACQUISITION and event.value == 0:
                 self._stop()
-        elif isinstance(event, gvcp.Written):
-            if event.taken_over:
-                self.camera.write(registers.ACQUISITION, 0)  # left on by an application that died
-            if self.camera.read(registers.ACQUISITION):
-                self.sensor.start(registers.read_settings(self.camera), now_ns)
-            elif self.sensor.acquiring:
-                self._stop()
+            return
+        if event.taken_over:
+            self.camera.write(registers.ACQUISITION, 0)  # left on by an application that died
+        if self.camera.read(registers.ACQUISITION):
+            self.sensor.start(registers.read_settings(self.camera), time.monotonic_ns())
+        elif self.sensor.acquiring:
+            self._stop()
 
     def _stop(self) -> None:
         self.sensor.stop()
@@ -108,26 +120,32 @@ class Twin:
 
     def _send_frames(self) -> None:
         while True:
-            acquisition, exposed = self.finished.get()
+            acquisition, exposure = self._memory.get()
             if acquisition != self._acquisition:
                 continue
-            settings = exposed.settings
-            pixels = self.scene.render(
-                exposed.step_low,
-                exposed.step_high,
-                exposure_s=settings.exposure_us * 1e-6,
-                gain_db=settings.gain_tenths / 10,
-                shape=settings.shape,
-                offset=settings.offset,
-                bits=BITS[settings.pixel_format],
-                index=exposed.index,
-            )
-            payload = pack(pixels, settings.pixel_format)
+            payload = self._render(exposure)
             with self._lock:
                 if acquisition != self._acquisition:
                     continue
-                self.camera.post(payload, exposed.start_ns + time.time_ns() - time.monotonic_ns())
+                self.camera.post(payload, exposure.start_ns + time.time_ns() - time.monotonic_ns())
             self.camera.wait_taken()
+
+    def _render(self, exposure: Exposure) -> NDArray[np.uint8]:
+        low, high = self.span(exposure.start_ns, exposure.end_ns)
+        self.smeared += high > low
+        first = (low + STEPS_PER_TURN // 2) % STEPS_PER_TURN - STEPS_PER_TURN // 2
+        settings = exposure.settings
+        pixels = self.scene.render(
+            first,
+            first + high - low,
+            exposure_s=settings.exposure_us * 1e-6,
+            gain_db=settings.gain_tenths / 10,
+            shape=settings.shape,
+            offset=settings.offset,
+            bits=BITS[settings.pixel_format],
+            index=exposure.index,
+        )
+        return pack(pixels, settings.pixel_format)
 
     def answer(self, line: str) -> str:
         """Do what one line of standard input asks for."""
@@ -144,64 +162,29 @@ class Twin:
                 return f"error: unknown command {line!r}; there are: stats, freeze, thaw, drop N, exit"
         return "ok"
 
-    def stats(self) -> dict[str, int | list[int]]:
-        """Counters; lateness in us as [p50, p99, max] over all exposures."""
-        counters = self.sensor.counters
-        starts, ends = zip(*counters.lateness_ns, strict=True) if counters.lateness_ns else ((0,), (0,))
-        return {
-            "exposures": counters.exposures,
-            "sent": self.camera.sent,
-            "dropped": self.camera.dropped,
-            "busy": counters.busy,
-            "unread": counters.unread,
-            "ignored": counters.ignored,
-            "smeared": counters.smeared,
-            "start_late_us": _percentiles(starts),
-            "end_late_us": _percentiles(ends),
-        }
+    def stats(self) -> dict[str, int]:
+        """Counters since the start: those of `sensor.Counters`, frames sent and dropped, exposures with a moving mirror."""
+        frames = {"sent": self.camera.sent, "dropped": self.camera.dropped, "smeared": self.smeared}
+        return asdict(self.sensor.counters) | frames
 
 
-def _percentiles(values_ns: tuple[int, ...]) -> list[int]:
-    ordered = sorted(values_ns)
-    return [ordered[min(len(ordered) - 1, int(len(ordered) * part))] // 1000 for part in (0.5, 0.99, 1.0)]
-
-
-def _hurry() -> None:
-    """Wake the calling thread as promptly as this machine allows: it notes where the mirror is when an exposure begins."""
-    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    with contextlib.suppress(PermissionError):  # only root of the machine may
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-
-
-def _survivor(read: Callable[[], MirrorReading]) -> Callable[[], MirrorReading]:
-    """Read the mirror; where the stepper twin was killed in the middle of writing, it stays where it was."""
-    last = read()
-
-    def look() -> MirrorReading:
-        nonlocal last
-        with contextlib.suppress(RuntimeError):
-            last = read()
-        return last
-
-    return look
+def _standing(step: int) -> Callable[[int, int], tuple[int, int]]:
+    return lambda start_ns, end_ns: (step, step)
 
 
 def build(arguments: argparse.Namespace) -> Twin:
     """Put the twin together; from here on it answers on the network."""
     netns.require_private_network()
     scene = load_scene(arguments.scene, seed=arguments.seed)
-    still = MirrorReading(arguments.step, 0, 0, 0, 0, 0)
-    look = _survivor(MirrorState.open(arguments.mirror).read) if arguments.mirror else lambda: still
-    triggers = None
+    span = MirrorLog(arguments.mirror).span if arguments.mirror else _standing(arguments.step)
+    pulses = None
     if arguments.trigger_socket:
-        triggers = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        triggers.bind(arguments.trigger_socket)
+        pulses = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        pulses.bind(arguments.trigger_socket)
     listener = gvcp.Listener()
     camera = FakeCamera(ADDRESS, arguments.serial, GENICAM)
     registers.power_on(camera)
-    finished: queue.SimpleQueue[tuple[int, Exposed]] = queue.SimpleQueue()
-    sensor = Sensor(look, lambda: finished.qsize() < MEMORY_FRAMES)
-    return Twin(camera, scene, sensor, finished, listener, triggers)
+    return Twin(camera, scene, span, listener, pulses)
 
 
 def _die(broken: threading.ExceptHookArgs) -> None:
@@ -225,13 +208,11 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Run until standard input ends."""
     arguments = parser().parse_args()
-    sys.setswitchinterval(0.0002)  # the timing thread must not wait 5 ms for the one that renders
     try:
         twin = build(arguments)
     except (MissingRequirement, RuntimeError, OSError) as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
-    gc.freeze()
     threading.excepthook = _die
     twin.run()
     sys.stdout.write(f"ready {ADDRESS}\n")

@@ -6,10 +6,7 @@ triggers are the twin's own (`scanhsi_sim.twins.sensor`).
 
 import ctypes
 import os
-import shutil
 import socket
-import subprocess
-import tempfile
 import threading
 from pathlib import Path
 from typing import Any
@@ -17,15 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanhsi_sim.twins import native
 from scanhsi_sim.twins.gvcp import PORT as GVCP_PORT
 
-_HERE = Path(__file__).parent
 _FILL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
 _TRIGGER_MODE, _TRIGGER_SOURCE, _TRIGGER_SOFTWARE = 0x300, 0x304, 0x30C  # the fake's own; the client never sees them
-
-
-class MissingRequirement(RuntimeError):
-    """Something that the twin needs is not installed."""
 
 
 class FakeCamera:
@@ -40,11 +33,11 @@ class FakeCamera:
         """Start to answer at `address` (of this network namespace).
 
         Raises:
-            MissingRequirement: no libaravis, or no C compiler.
+            native.MissingRequirement: no libaravis, or no C compiler.
             OSError: the address or its GVCP port is not free.
         """
         _check_free(address)
-        event_poll = _load_event_poll()
+        event_poll = native.load("event_poll", for_all=True)  # before libaravis, so that it wins
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         ctypes.c_int.in_dll(event_poll, "event_poll_fd").value = self._wake
         self._frozen = ctypes.c_int.in_dll(event_poll, "event_poll_frozen")
@@ -146,7 +139,9 @@ def _load_aravis() -> ctypes.CDLL:
     try:
         aravis = ctypes.CDLL("libaravis-0.8.so.0")
     except OSError as error:
-        raise MissingRequirement("the camera twin needs Aravis 0.8: sudo apt install gir1.2-aravis-0.8") from error
+        raise native.MissingRequirement(
+            "the camera twin needs Aravis 0.8: sudo apt install gir1.2-aravis-0.8"
+        ) from error
     pointer, u32, u64 = ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint64
     text = ctypes.c_char_p
     signatures: dict[str, tuple[Any, list[Any]]] = {
@@ -166,17 +161,3 @@ def _load_aravis() -> ctypes.CDLL:
         function = getattr(aravis, name)
         function.restype, function.argtypes = result, arguments
     return aravis
-
-
-def _load_event_poll() -> ctypes.CDLL:
-    """Compile and load `event_poll.c`. It must come before libaravis, which then finds these functions first."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        raise MissingRequirement("the camera twin needs a C compiler: sudo apt install gcc libc6-dev")
-    with tempfile.TemporaryDirectory(prefix="scanhsi-twin-") as folder:
-        library = Path(folder) / "event_poll.so"
-        command = [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(_HERE / "event_poll.c")]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise MissingRequirement(f"the camera twin's event_poll.c does not compile: {done.stderr.strip()}")
-        return ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)

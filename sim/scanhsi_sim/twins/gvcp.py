@@ -8,6 +8,7 @@ import ctypes
 import socket
 import struct
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 PORT = 3956
@@ -66,24 +67,28 @@ class Listener:
         """Stop listening."""
         self._socket.close()
 
-    def receive(self) -> Write | Written | None:
-        """The next packet, if it matters; None for one that does not, and when there is none."""
-        try:
-            packet, ancillary, _, _ = self._socket.recvmsg(2048, 256)
-        except BlockingIOError:
-            return None
+    def receive(self) -> Iterator[Write | Written]:
+        """What has come, oldest first; does not wait for more."""
+        while True:
+            try:
+                packet, ancillary, _, _ = self._socket.recvmsg(2048, 256)
+            except BlockingIOError:
+                return
+            event = self._understand(packet, ancillary)
+            if event is not None:
+                yield event
+
+    def _understand(self, packet: bytes, ancillary: list[tuple[int, int, bytes]]) -> Write | Written | None:
         header = (packet[0] & 0x0F) * 4
         source, target = struct.unpack_from("!HH", packet, header)
         gvcp = packet[header + 8 :]
         if len(gvcp) < 8:
             return None
         kind, _, command, _, _ = struct.unpack_from("!BBHHH", gvcp)
-        if source == PORT:
-            if kind == _ACKNOWLEDGE and command in _WRITE_ACKNOWLEDGES:
-                # only the application in control gets its writes acknowledged: so this tells who that is
-                before, self._controller = self._controller, packet[16:20] + packet[header + 2 : header + 4]
-                return Written(taken_over=before != self._controller)
-            return None
+        if source == PORT and kind == _ACKNOWLEDGE and command in _WRITE_ACKNOWLEDGES:
+            # only the application in control gets its writes acknowledged: so this tells who that is
+            before, self._controller = self._controller, packet[16:20] + packet[header + 2 : header + 4]
+            return Written(taken_over=before != self._controller)
         sender = packet[12:16] + packet[header : header + 2]
         if target != PORT or kind != _COMMAND or sender != self._controller or len(gvcp) < 16:
             return None

@@ -36,6 +36,12 @@ def test_the_frame_shows_the_mirror_during_the_exposure(mirror: MirrorFile) -> N
         assert twin.stats()["smeared"] == 1
 
 
+def test_a_mirror_beyond_half_a_turn_is_seen_from_the_other_side(tmp_path: Path) -> None:
+    mirror = MirrorFile(tmp_path / "mirror", position=19_200 - 5)
+    with running(mirror_file=mirror.path), armed(pixel_format="Mono12") as client:
+        assert decode(client.shoot().view("<u2").reshape(32, 64)).step == -5 % 4096
+
+
 def pulse(path: Path, number: int, position: int) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(struct.pack("<qqq", number, position, time.monotonic_ns()), str(path))

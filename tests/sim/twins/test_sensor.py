@@ -1,11 +1,10 @@
-"""The twin's sensor: triggers, exposure windows, and what the mirror showed in them. No time passes here."""
+"""The twin's sensor: which triggers count, and when the shutter is open. No time passes here."""
 
 from dataclasses import dataclass, field
 
 import pytest
 
-from scanhsi_sim.twins.mirror import MirrorReading
-from scanhsi_sim.twins.sensor import LINK_PERIOD_NS, READOUT_NS, Exposed, Sensor, Settings, Source
+from scanhsi_sim.twins.sensor import LINK_PERIOD_NS, READOUT_NS, Exposure, Sensor, Settings, Source
 
 MS = 1_000_000
 T_EXP = 30 * MS
@@ -13,30 +12,18 @@ T_EXP = 30 * MS
 
 @dataclass
 class Bench:
-    """A sensor, a mirror, and a clock that the test turns."""
+    """A sensor, and a clock that the test turns."""
 
     now: int = 0
     room: bool = True
-    position: int = 100
-    moved_ns: int = 0
-    steps: int = 0
-    done: list[Exposed] = field(default_factory=list[Exposed])
+    done: list[Exposure] = field(default_factory=list[Exposure])
     sensor: Sensor = field(init=False)
 
     def __post_init__(self) -> None:
-        self.sensor = Sensor(self.look, lambda: self.room)
-
-    def look(self) -> MirrorReading:
-        return MirrorReading(self.position, self.moved_ns, self.steps, 0, 0, 0)
+        self.sensor = Sensor(lambda: self.room)
 
     def arm(self, source: Source, exposure_ns: int = T_EXP, period_us: int = 0) -> None:
-        settings = Settings(source, exposure_ns // 1000, period_us, 0, 0, (2, 2), (0, 0))
-        self.sensor.start(settings, self.now)
-
-    def step(self, by: int = 1) -> None:
-        self.position += by
-        self.steps += abs(by)
-        self.moved_ns = self.now
+        self.sensor.start(Settings(source, exposure_ns // 1000, period_us, 0, 0, (2, 2), (0, 0)), self.now)
 
     def run_to(self, time_ns: int) -> None:
         """Call `advance` whenever the sensor asks for it."""
@@ -45,12 +32,9 @@ class Bench:
             self.done += self.sensor.advance(self.now)
         self.now = time_ns
 
-    def trigger(self, source: Source = Source.SOFTWARE, late_ns: int = 0, position: int | None = None) -> None:
+    def trigger(self, source: Source = Source.SOFTWARE, late_ns: int = 0) -> None:
         self.done += self.sensor.advance(self.now + late_ns)
-        self.sensor.trigger(source, self.now, self.now + late_ns, position)
-
-    def spans(self) -> list[tuple[int, int]]:
-        return [(exposed.step_low, exposed.step_high) for exposed in self.done]
+        self.sensor.trigger(source, self.now)
 
 
 @pytest.fixture
@@ -58,71 +42,12 @@ def bench() -> Bench:
     return Bench()
 
 
-def test_a_still_mirror_gives_one_step(bench: Bench) -> None:
+def test_the_shutter_opens_at_the_trigger_for_the_exposure_time(bench: Bench) -> None:
     bench.arm(Source.SOFTWARE)
     bench.now = 5 * MS
-    bench.trigger()
+    bench.trigger(late_ns=2 * MS)
     bench.run_to(100 * MS)
     assert [(e.start_ns, e.end_ns) for e in bench.done] == [(5 * MS, 5 * MS + T_EXP)]
-    assert bench.spans() == [(100, 100)]
-    assert bench.sensor.counters.smeared == 0
-
-
-@pytest.mark.parametrize("when_ns", [1, 15 * MS, T_EXP - 1])
-def test_a_move_during_the_exposure_is_seen(bench: Bench, when_ns: int) -> None:
-    bench.arm(Source.SOFTWARE)
-    bench.trigger()
-    bench.run_to(when_ns)
-    bench.step(-3)
-    bench.run_to(100 * MS)
-    assert bench.spans() == [(97, 100)]
-    assert bench.sensor.counters.smeared == 1
-
-
-def test_a_move_there_and_back_is_seen(bench: Bench) -> None:
-    bench.arm(Source.SOFTWARE)
-    bench.trigger()
-    bench.run_to(10 * MS)
-    bench.step(2)
-    bench.step(-2)
-    bench.run_to(100 * MS)
-    assert bench.spans() == [(100, 102)]
-
-
-def test_a_move_after_the_end_is_not_seen_however_late_the_twin_wakes(bench: Bench) -> None:
-    bench.arm(Source.SOFTWARE)
-    bench.trigger()
-    bench.run_to(T_EXP - 1)
-    bench.now = T_EXP + 2 * MS
-    bench.step(8)
-    bench.done += bench.sensor.advance(T_EXP + 5 * MS)
-    assert bench.spans() == [(100, 100)]
-
-
-def test_a_move_between_the_trigger_and_a_late_look_is_seen(bench: Bench) -> None:
-    bench.arm(Source.SOFTWARE)
-    bench.now = 1
-    bench.step()
-    bench.now = 0
-    bench.trigger(late_ns=MS)
-    bench.run_to(100 * MS)
-    assert bench.sensor.counters.smeared == 1
-
-
-def test_a_pulse_tells_where_the_mirror_was(bench: Bench) -> None:
-    bench.arm(Source.LINE1)
-    bench.position, bench.moved_ns, bench.steps = 103, MS, 3
-    bench.trigger(Source.LINE1, late_ns=MS, position=102)
-    bench.run_to(100 * MS)
-    assert bench.spans() == [(102, 103)]
-
-
-def test_positions_are_told_within_one_turn_around_home(bench: Bench) -> None:
-    bench.position = 19_200 - 5
-    bench.arm(Source.SOFTWARE)
-    bench.trigger()
-    bench.run_to(100 * MS)
-    assert bench.spans() == [(-5, -5)]
 
 
 def test_triggers_that_come_too_early_are_lost_and_counted(bench: Bench) -> None:
