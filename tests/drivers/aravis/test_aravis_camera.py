@@ -29,6 +29,7 @@ from scanhsi.devices import (
 )
 from scanhsi.devices.errors import DeviceBusy, DeviceError, DeviceNotFound, OutOfRange, UnsupportedFeature
 from scanhsi_aravis import AravisCamera, AravisOptions
+from scanhsi_aravis.features import _snapped  # pyright: ignore[reportPrivateUsage]
 from scanhsi_sim.scenes import load_scene
 
 pytestmark = pytest.mark.twin
@@ -163,6 +164,11 @@ def test_options_narrow_what_is_allowed(twin: Twin) -> None:
             await camera(twin, gain_limits_db=(30, 40)).connect()
 
     run(main())
+
+
+@pytest.mark.parametrize(("raw", "applied"), [(20.999999999999996, 21), (153e6 * (1 + 1e-12), 153e6), (20.9, 20.9)])
+def test_a_limit_is_not_missed_by_rounding(raw: float, applied: float) -> None:
+    assert _snapped(raw, 21, 153e6) == applied
 
 
 def test_exposure_comes_back_as_rounded(twin: Twin) -> None:
@@ -358,7 +364,10 @@ def test_frames_stay_readable_after_disarm_and_close(twin: Twin) -> None:
             for _ in range(2):
                 await device.expose()
             await asyncio.sleep(0.1)
+            ring = device._session._ring  # pyright: ignore[reportPrivateUsage]
+            assert ring is not None
             await device.disarm()
+            assert ring._stream is None, "views that die later would push to a stream that is gone"  # pyright: ignore[reportPrivateUsage]
             events = [event async for event in stream]
         first, second = events
         assert isinstance(first, Frame)

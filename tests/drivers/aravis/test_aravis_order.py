@@ -163,3 +163,15 @@ def test_by_trigger_reports_each_exposure_once_and_in_order(fate: list[str]) -> 
         else:
             outcomes.append((triggers.order.expired(triggers.pending[i].due_ns or 0, "late"), None))
     assert account(outcomes) == [(i, what == "whole") for i, what in enumerate(fate)]
+
+
+def test_a_reported_loss_is_not_counted_again_by_its_id() -> None:
+    triggers = Triggers()
+    triggers.fire()
+    triggers.frame(7, None)
+    triggers.fire()
+    assert triggers.order.lost("packets were lost") == [FrameGap(1, 1, "packets were lost")]
+    triggers.fire()
+    triggers.fire()
+    assert triggers.frame(9, None) == ([], 2)
+    assert triggers.frame(10, None) == ([], 3)
