@@ -13,14 +13,33 @@ from uuid import uuid4
 
 import numpy as np
 from pydantic import ValidationError
-from structlog.contextvars import bound_contextvars
+from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from scanhsi.cube import CubeSpec, CubeWriter, DiscardSink, LineSink
 from scanhsi.devices import Actuator, Camera, CameraSettings
 from scanhsi.devices.errors import ConfigError
-from scanhsi.engine import Course, Progress, ScanPlan, ScanReport, run_scan
+from scanhsi.engine import Course, Mode, Progress, ScanPlan, ScanReport, run_scan
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
+
+
+def default_plan(config: InstrumentConfig, **overrides: Any) -> ScanPlan:
+    """The plan of an instrument file's ``[scan]`` table, with some fields set otherwise.
+
+    Raises:
+        ConfigError: A field is wrong; lists every problem.
+    """
+    written = {key: value for key, value in config.scan.model_dump().items() if value is not None}
+    for key, value in overrides.items():
+        field = next((name for name, info in ScanPlan.model_fields.items() if info.alias == key), key)
+        written.pop(field, None)
+        written[key] = value
+    if written.get("mode") != Mode.CONTINUOUS and not {"period", "period_s"} & overrides.keys():
+        written.pop("period_s", None)  # the file's period is for its continuous scans
+    try:
+        return ScanPlan.model_validate(written)
+    except ValidationError as error:
+        raise ConfigError("the scan plan is wrong:", problems_of(error, ScanPlan)) from error
 
 
 @asynccontextmanager
@@ -38,8 +57,13 @@ async def open_instrument(source: str | Path | InstrumentConfig, *, seed: int | 
     config = source if isinstance(source, InstrumentConfig) else load_instrument(source)
     if seed is not None:
         config = config.with_seed(seed)
-    async with Instrument.open(config) as instrument:
-        yield Imager(instrument)
+    run = uuid4().hex[:12]
+    bind_contextvars(run=run)
+    try:
+        async with Instrument.open(config) as instrument:
+            yield Imager(instrument, run)
+    finally:
+        unbind_contextvars("run")
 
 
 class Imager:
@@ -47,10 +71,12 @@ class Imager:
 
     Attributes:
         instrument: Its configuration and devices.
+        run: Identifies this opening in logs and cubes.
     """
 
-    def __init__(self, instrument: Instrument) -> None:
+    def __init__(self, instrument: Instrument, run: str) -> None:
         self.instrument = instrument
+        self.run = run
 
     @property
     def config(self) -> InstrumentConfig:
@@ -68,22 +94,8 @@ class Imager:
         return self.instrument.actuator
 
     def default_plan(self, **overrides: Any) -> ScanPlan:
-        """The plan of the instrument file's ``[scan]`` table, with some fields set otherwise.
-
-        Raises:
-            ConfigError: A field is wrong; lists every problem.
-        """
-        written = {key: value for key, value in self.config.scan.model_dump().items() if value is not None}
-        for key, value in overrides.items():
-            field = next((name for name, info in ScanPlan.model_fields.items() if info.alias == key), key)
-            written.pop(field, None)
-            written[key] = value
-        if written.get("mode") != "continuous":  # a period in the file speaks of continuous scans only
-            written.pop("period_s", None)
-        try:
-            return ScanPlan.model_validate(written)
-        except ValidationError as error:
-            raise ConfigError("the scan plan is wrong:", problems_of(error, ScanPlan)) from error
+        """The plan of the instrument file's ``[scan]`` table, with some fields set otherwise; see `default_plan`."""
+        return default_plan(self.config, **overrides)
 
     def course(self, plan: ScanPlan) -> Course:
         """What a plan comes to on this instrument.
@@ -124,12 +136,10 @@ class Imager:
             ScanFailed: It began and did not end well; what was stored is safe and opens as a shorter cube.
         """
         course = self.course(plan)
-        run = uuid4().hex[:12]
-        sink = DiscardSink() if output is None else self._writer(course, plan, Path(output), run)
-        with bound_contextvars(run=run):
-            return await run_scan(course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop)
+        sink = DiscardSink() if output is None else self._writer(course, plan, Path(output))
+        return await run_scan(course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop)
 
-    def _writer(self, course: Course, plan: ScanPlan, output: Path, run: str) -> LineSink:
+    def _writer(self, course: Course, plan: ScanPlan, output: Path) -> LineSink:
         settings, roi = course.settings, course.settings.roi
         assert roi is not None, "Instrument.check fills the ROI in"
         spectral = self.config.spectral
@@ -140,7 +150,7 @@ class Imager:
             dtype=settings.pixel_format.dtype,
             significant_bits=settings.pixel_format.bits,
             attributes={
-                "run": run,
+                "run": self.run,
                 "simulated": self.instrument.simulated,
                 "plan": plan.model_dump(mode="json"),
                 "instrument": self.config.model_dump(mode="json"),

@@ -6,7 +6,7 @@ import asyncio
 import tomllib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,7 +14,7 @@ from scanhsi.cli.codes import ExitCode
 from scanhsi.cli.output import messages, results, write_json
 
 if TYPE_CHECKING:
-    from scanhsi.engine import ScanReport
+    from scanhsi.engine import ScanPlan, ScanReport
     from scanhsi.instrument import InstrumentConfig
 
 
@@ -71,6 +71,7 @@ def scan(
     [bold]Example[/]: scanhsi scan --virtual --discard --lines 1200 --exposure "100 ms" --mode continuous --json
     """
     from scanhsi import clock
+    from scanhsi.imager import default_plan
     from scanhsi.instrument import load_instrument
 
     if (output is None) != discard:
@@ -91,11 +92,11 @@ def scan(
         "period": period,
     }
     overrides = {name: value for name, value in given.items() if value is not None}
-    report = clock.run(_scan(config, overrides, output), virtual=virtual)
+    report = clock.run(_scan(config, default_plan(config, **overrides), output), virtual=virtual)
     _finish(report, as_json=json)
 
 
-async def _scan(config: InstrumentConfig, overrides: dict[str, Any], output: Path | None) -> ScanReport:
+async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None) -> ScanReport:
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
     from scanhsi.imager import open_instrument
@@ -104,7 +105,6 @@ async def _scan(config: InstrumentConfig, overrides: dict[str, Any], output: Pat
     tell: Callable[[str], None] = console.print
     with interrupts(tell) as interrupt:
         async with open_instrument(config) as imager:
-            plan = imager.default_plan(**overrides)
             with shown(console) as show:
                 interrupt.scanning = True
                 try:

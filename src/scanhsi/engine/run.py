@@ -19,8 +19,6 @@ from dataclasses import replace
 from functools import partial
 from typing import cast
 
-import structlog
-
 from scanhsi.clock import now_ns
 from scanhsi.cube.records import LineRecords
 from scanhsi.cube.sink import LineSink
@@ -35,10 +33,11 @@ from scanhsi.engine.report import Progress, ScanReport
 from scanhsi.engine.scan import CAMERA_BUFFERS, Credits, Scan
 from scanhsi.engine.summary import report
 from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
+from scanhsi.log import get_logger
 
 STOP_S = 10.0
 
-_log = structlog.get_logger(__name__)
+_log = get_logger(__name__)
 
 
 async def run_scan(
