@@ -42,7 +42,7 @@ from scanhsi_sim.twins.sensor import Exposure, Sensor, Source
 
 ADDRESS = "127.0.0.1"
 GENICAM = Path(__file__).with_name("mako.xml")
-MEMORY_FRAMES = 4
+MEMORY_FRAMES = 16
 """Frames the camera can keep that are not yet sent."""
 
 STEPS_PER_TURN = 19_200

@@ -13,7 +13,7 @@
 #include <unistd.h>
 
 #define MIRROR_LOG_SIZE 8192 /* entries; also in mirror_log.py */
-enum { PERIOD_NS = 250000, ATTEMPTS = 100 };
+enum { PERIOD_NS = 500000, ATTEMPTS = 100 };
 
 struct mirror { /* first fields of struct mirror_state, stepper_bench/bench.h */
     uint64_t seq;
