@@ -113,7 +113,7 @@ def test_records_and_attributes(tmp_path: Path) -> None:
 
 def test_missing_lines_keep_their_place_and_reason(tmp_path: Path) -> None:
     spec = CubeSpec(13, 5, 6, "uint16", 12)
-    missing = {0: "3 packets missing", 7: "no free buffer", 12: "timeout"}
+    missing = {1: "3 packets missing", 7: "no free buffer", 12: "timeout"}
     path = tmp_path / "cube.zarr"
     clock.run(write_cube(path, spec, missing=missing, lines_per_shard=4), virtual=True)
     dataset = open_cube(path)

@@ -67,7 +67,9 @@ async def write_cube(
     records = LineRecords(spec.lines)
     writer = CubeWriter(path, spec, lines_per_shard=lines_per_shard, clock_offset_ns=clock_offset_ns)
     await writer.open(records)
-    await feed(writer, spec, records, range(spec.lines if reach is None else reach), missing or {})
-    await writer.flush()
-    await writer.close()
+    try:
+        await feed(writer, spec, records, range(spec.lines if reach is None else reach), missing or {})
+        await writer.flush()
+    finally:
+        await writer.close()
     return records
