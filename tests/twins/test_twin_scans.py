@@ -73,7 +73,7 @@ def test_continuous_scan_by_position_triggers_is_exact(pixel_format: str, tmp_pa
     assert report.stored + report.missing == 300
     assert report.missing == 0, report.missing_reasons
     assert wrong_lines(tmp_path / "cube.zarr") == []
-    assert stats["trig_count"] == 300
+    assert stats["triggers"] == 300
 
 
 def test_an_emulator_that_dies_ends_the_scan_with_a_partial_cube(tmp_path: Path) -> None:
