@@ -1,4 +1,4 @@
-"""The invariants of the engine that other files do not test, each also with something broken on purpose, to show that it is seen."""
+"""Invariants of the engine that other files do not test, each also with something broken on purpose, to show that it is seen."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_driver_that_swallows_a_frame_and_numbers_on_would_be_caught() -> None
     sink = MemorySink()
     run_virtual(scan(Mode.STEPPED, Bench(), sink, camera=Renumbering))
     wrong = [line for line, pixels in sink.pixels.items() if np.any(pixels != line)]
-    assert wrong == list(range(9, LINES))
+    assert wrong == list(range(9, LINES - 1))
 
 
 # --- 3: memory is bounded by the credits ----------------------------------------------------------------------------------
