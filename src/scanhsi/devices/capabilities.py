@@ -36,6 +36,11 @@ class Sweep:
         """Step of the last line."""
         return self.first + self.every * (self.count - 1)
 
+    @property
+    def period_s(self) -> float:
+        """Time from line to line."""
+        return abs(self.every) / self.rate_steps_s
+
 
 @dataclass(frozen=True, slots=True)
 class Sighting:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 from scanhsi.devices.errors import DeviceTimeout, ScanhsiError
+from scanhsi.log import get_logger
+
+_log = get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +42,17 @@ async def clean_up(steps: list[CleanupStep]) -> list[Exception]:
             await asyncio.wait([task])
         except asyncio.CancelledError as error:
             cancelled = error
+    failures = task.result()
     if cancelled is not None:
+        tell_nevertheless(failures)
         raise cancelled
-    return task.result()
+    return failures
+
+
+def tell_nevertheless(failures: Sequence[BaseException]) -> None:
+    """Log what failed where a cancellation takes the place of the error: a mirror that may still turn is nobody's secret."""
+    for failure in failures:
+        _log.error("failed while the scan was being cancelled", error=f"{type(failure).__name__}: {failure}")
 
 
 async def _run_all(steps: list[CleanupStep]) -> list[Exception]:

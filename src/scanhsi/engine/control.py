@@ -11,7 +11,7 @@ from collections.abc import Coroutine
 
 from scanhsi.devices import Actuator, Motion, Sweep, Sweeps, require
 from scanhsi.devices.errors import MotionFailed, ProtocolError
-from scanhsi.engine.deadlines import Deadline
+from scanhsi.engine.deadlines import STOP_S, Deadline
 from scanhsi.engine.plan import Mode
 from scanhsi.engine.scan import Scan
 
@@ -42,14 +42,24 @@ async def _move(scan: Scan, line: int) -> None:
     step = int(scan.course.steps[line])
     async with Deadline(scan.deadlines.move_s, f"move_to {step}", device=scan.actuator.info.name, line=line):
         motion = await scan.actuator.move_to(step)
-    if motion.step != step:
-        raise MotionFailed(
-            f"the mirror stands at step {motion.step}, not at {step}.", device=scan.actuator.info.name, line=line
-        )
+    arrived(scan, motion, line)
     stamps = scan.records.stamps
     stamps["commanded"][line] = motion.commanded_ns
     stamps["moved"][line] = motion.moved_ns
     scan.records.mirror_step[line] = motion.step
+
+
+def arrived(scan: Scan, motion: Motion, line: int) -> None:
+    """Check that a motion ended at the step of ``line``.
+
+    Raises:
+        MotionFailed: It did not.
+    """
+    step = int(scan.course.steps[line])
+    if motion.step != step:
+        raise MotionFailed(
+            f"the mirror stands at step {motion.step}, not at {step}.", device=scan.actuator.info.name, line=line
+        )
 
 
 async def _expose(scan: Scan, line: int) -> None:
@@ -86,13 +96,16 @@ async def sweep_past(scan: Scan, sweep: Sweep) -> None:
     A stop request ends the motion; the lines that were passed by then are kept.
     """
     device = scan.actuator.info.name
-    limit_s = scan.deadlines.first_move_s + 2 * abs(sweep.last - sweep.first) / sweep.rate_steps_s
+    actuator = as_sweeping(scan.actuator)
+    limit_s = scan.deadlines.first_move_s + 2 * (actuator.run_up_s(sweep) + sweep.count * sweep.period_s)
     async with Deadline(limit_s, "sweep", device=device):
-        motion = await _unless_stopped(scan, as_sweeping(scan.actuator).sweep(sweep))
+        motion = await _unless_stopped(scan, actuator.sweep(sweep))
     if motion is None:
-        await scan.actuator.stop()
+        async with Deadline(STOP_S, "stop", device=device):
+            await scan.actuator.stop()
         await asyncio.sleep(scan.settling_s)
-        await scan.camera.disarm()  # which ends the frames
+        async with Deadline(STOP_S, "disarm", device=scan.camera.info.name):
+            await scan.camera.disarm()  # which ends the frames
     elif sweep.pulses and motion.pulses != sweep.count:
         raise MotionFailed(f"{motion.pulses} trigger pulses were given on the way, not {sweep.count}.", device=device)
     scan.motion_over.set()

@@ -17,6 +17,8 @@ MARGIN_S = 5.0
 """Added to what an operation should take: a busy computer, a driver's own retries (GigE Vision waits 2.5 s for an answer)."""
 STORE_S = 60.0
 """A writer that has stored nothing for so long is stuck."""
+STOP_S = 10.0
+"""Stopping the mirror, disarming the camera."""
 HOME_S = 120.0
 """Homing may search a whole turn at low speed."""
 

@@ -22,11 +22,21 @@ from typing import cast
 from scanhsi.clock import now_ns
 from scanhsi.cube.records import LineRecords
 from scanhsi.cube.sink import LineSink
-from scanhsi.devices import Actuator, Camera, FreeRunning, HardwareTriggered, Sweep, Trigger, check_settings, require
+from scanhsi.devices import (
+    Actuator,
+    Camera,
+    FreeRunning,
+    HardwareTriggered,
+    Sighting,
+    Sweep,
+    Trigger,
+    check_settings,
+    require,
+)
 from scanhsi.devices.errors import DeviceTimeout, ScanFailed, ScanhsiError
-from scanhsi.engine.cleanup import CleanupStep, clean_up
-from scanhsi.engine.control import as_sweeping, step_and_expose, sweep_past
-from scanhsi.engine.deadlines import HOME_S, STORE_S, Deadline, deadlines
+from scanhsi.engine.cleanup import CleanupStep, clean_up, tell_nevertheless
+from scanhsi.engine.control import arrived, as_sweeping, step_and_expose, sweep_past
+from scanhsi.engine.deadlines import HOME_S, STOP_S, STORE_S, Deadline, deadlines
 from scanhsi.engine.plan import Course, Mode
 from scanhsi.engine.receive import receive_exposed, write_lines
 from scanhsi.engine.report import Progress, ScanReport
@@ -34,8 +44,6 @@ from scanhsi.engine.scan import CAMERA_BUFFERS, Credits, Scan
 from scanhsi.engine.summary import report
 from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
 from scanhsi.log import get_logger
-
-STOP_S = 10.0
 
 _log = get_logger(__name__)
 
@@ -118,6 +126,7 @@ async def _to_the_end(scan: Scan, acquire: Callable[[], Coroutine[None, None, No
     finally:
         failures += await clean_up(_way_out(scan))
     if cancelled:
+        tell_nevertheless(failures)
         raise asyncio.CancelledError
     if work.cancelled():
         failures.append(ScanhsiError("a task of the scan was cancelled from outside."))
@@ -172,7 +181,8 @@ async def _acquire_stepping(scan: Scan) -> None:
     await _home(scan)
     first = int(scan.course.steps[0])
     async with Deadline(scan.deadlines.first_move_s, f"move_to {first}", device=scan.actuator.info.name, line=0):
-        await scan.actuator.move_to(first)
+        motion = await scan.actuator.move_to(first)
+    arrived(scan, motion, 0)
     await _arm(scan, Trigger.SOFTWARE)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(step_and_expose(scan), name="control")
@@ -186,11 +196,17 @@ async def _acquire_sweeping(scan: Scan, sweep: Sweep, trigger: Trigger) -> None:
     async with Deadline(scan.deadlines.first_move_s, "prepare_sweep", device=scan.actuator.info.name):
         await actuator.prepare_sweep(sweep)
     await _arm(scan, trigger)
-    places = Places(sweep, trigger, passing_ns(actuator.run_up_s(sweep)), actuator)
+    scan.begun_ns = passing_ns(actuator.run_up_s(sweep))
+    places = Places(sweep, trigger, scan.begun_ns, partial(_locate, scan))
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(sweep_past(scan, sweep), name="control")
         tasks.create_task(receive_sweep(scan, sweep, places), name="receive")
         tasks.create_task(write_lines(scan), name="write")
+
+
+async def _locate(scan: Scan) -> Sighting:
+    async with Deadline(STOP_S, "locate", device=scan.actuator.info.name):
+        return await as_sweeping(scan.actuator).locate()
 
 
 async def _line_period_s(scan: Scan, trigger: Trigger) -> float:

@@ -79,7 +79,7 @@ class Scan:
         filled: Lines to be stored, from receive to write; None ends it.
         handed_over: Released as each line has gone to storage: what a sequential scan waits for.
         taken: Lines received so far, whole or as a gap.
-        begun_ns: First trigger, loop clock.
+        begun_ns: First trigger, loop clock; in a sweep the passing of the first line, whether or not its frame comes.
         motion_over: Set when the mirror of a continuous scan stands again.
     """
 
@@ -117,14 +117,15 @@ class Scan:
     def progress(self, now: int) -> Progress:
         """A snapshot."""
         elapsed_s = max(now - self.begun_ns, 1) * 1e-9
-        rate = self.taken / elapsed_s
+        missing = len(self.records.missing)
+        rate = (self.taken - missing) / elapsed_s
         return Progress(
             lines=self.course.lines,
-            taken=self.taken,
+            taken=self.taken - missing,
             stored=self.records.stored,
-            missing=len(self.records.missing),
+            missing=missing,
             elapsed_s=elapsed_s,
             lines_per_second=rate,
             efficiency=self.course.settings.exposure_s * rate,
-            remaining_s=(self.course.lines - self.taken) / rate if rate else float("nan"),
+            remaining_s=(self.course.lines - self.taken) * elapsed_s / self.taken if self.taken else float("nan"),
         )

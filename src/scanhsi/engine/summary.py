@@ -18,9 +18,9 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
     """
     records, course, camera = scan.records, scan.course, scan.camera
     exposure_s = course.settings.exposure_s
-    duration_s = (ended_ns - scan.begun_ns) * 1e-9
+    duration_s = max(ended_ns - scan.begun_ns, 0) * 1e-9
     starts_ns = exposure_starts(records.stamps)
-    period_s = mean_period_ns(starts_ns) * 1e-9 if len(starts_ns) > 1 else duration_s
+    period_s = duration_s if len(starts_ns) == 1 else mean_period_ns(starts_ns) * 1e-9
     starts, delays = delays_of(
         records.stamps,
         exposure_ns=round(exposure_s * 1e9),

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Awaitable, Callable
 
 from scanhsi.clock import now_ns, sleep_until_ns
-from scanhsi.devices import Frame, FrameEvent, FrameGap, FrameStream, Sweep, Sweeps, Trigger
+from scanhsi.devices import Frame, FrameEvent, FrameGap, FrameStream, Sighting, Sweep, Trigger
 from scanhsi.devices.errors import DeviceTimeout, ProtocolError
+from scanhsi.engine.control import as_sweeping
 from scanhsi.engine.receive import hand_on, past, take
 from scanhsi.engine.scan import Scan
 
@@ -31,15 +33,17 @@ class Places:
         sweep: As it runs.
         trigger: LINE counts pulses; FREE_RUN counts the camera's own beats from the moment the mirror passes the first line.
         passing_ns: When the mirror passes the first line, as announced.
-        actuator: Is asked where the mirror is, in doubt.
+        locate: Asks the actuator where the mirror is, in doubt.
     """
 
-    def __init__(self, sweep: Sweep, trigger: Trigger, passing_ns: int, actuator: Sweeps) -> None:
+    def __init__(
+        self, sweep: Sweep, trigger: Trigger, passing_ns: int, locate: Callable[[], Awaitable[Sighting]]
+    ) -> None:
         self._sweep = sweep
-        self._period_ns = abs(sweep.every) / sweep.rate_steps_s * 1e9
+        self._period_ns = sweep.period_s * 1e9
         self._trigger = trigger
         self._passing_ns = passing_ns
-        self._actuator = actuator
+        self._locate = locate
         self._previous: Frame | None = None
         self._shift = 0
 
@@ -49,8 +53,9 @@ class Places:
         return self._shift > 0 and self._trigger is Trigger.LINE
 
     def line_of_exposure(self, index: int) -> int:
-        """Line of an exposure whose frame is lost."""
-        return index + self._shift
+        """Line of an exposure whose frame is lost; 0 as long as a free-running camera has given no frame to count from."""
+        unknown = self._trigger is Trigger.FREE_RUN and self._previous is None
+        return 0 if unknown else index + self._shift
 
     async def line_of(self, frame: Frame) -> int:
         """Line of a frame; negative for one exposed before the mirror passed the first line."""
@@ -78,7 +83,7 @@ class Places:
         if frame.exposure_start_ns is None:
             return None
         for _ in range(_SIGHTINGS):
-            seen = await self._actuator.locate()
+            seen = await self._locate()
             passed = math.floor((seen.step - self._sweep.first) / self._sweep.every)
             if passed >= self._sweep.count:
                 return None
@@ -95,10 +100,10 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
     stream = scan.camera.frames()
     line = 0
     while line < sweep.count:
-        event = await _next(scan, stream, line)
+        event = await _next(scan, stream, sweep, line)
         if event is None:
             if not scan.stop.is_set():
-                _give_up(scan, line, sweep.count)
+                _give_up(scan, sweep, line)
             break
         if isinstance(event, FrameGap):
             until = min(places.line_of_exposure(past(event)), sweep.count)
@@ -118,8 +123,8 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
 async def _take_or_drop(scan: Scan, frame: Frame, line: int, sweep: Sweep) -> int:
     if not scan.credits.may_store(line):
         return _lose(scan, range(line, line + 1), "no free line buffer: storage was too slow for this sweep")
-    if not line:
-        scan.begun_ns = frame.exposure_start_ns or frame.received_ns
+    if not line and frame.exposure_start_ns is not None:
+        scan.begun_ns = frame.exposure_start_ns
     records = scan.records
     records.mirror_step[line] = sweep.first + line * sweep.every
     if frame.exposure_start_ns is not None:
@@ -138,7 +143,7 @@ def _lose(scan: Scan, lines: range, reason: str) -> int:
     return lines.stop if len(lines) else lines.start
 
 
-def _give_up(scan: Scan, line: int, count: int) -> None:
+def _give_up(scan: Scan, sweep: Sweep, line: int) -> None:
     """The camera is silent. Behind the end of the sweep that costs the rest of the lines, before it the scan."""
     if not (scan.motion_over.is_set() and line):
         raise DeviceTimeout(
@@ -146,19 +151,25 @@ def _give_up(scan: Scan, line: int, count: int) -> None:
             device=scan.camera.info.name,
             operation="receive",
             line=line,
-            waited_s=scan.deadlines.frame_s,
+            waited_s=_patience_s(scan, sweep, line),
             hint="check the trigger cable and the camera's trigger line; then power and network.",
         )
-    _lose(scan, range(line, count), "no frame came for the trigger of this line")
+    _lose(scan, range(line, sweep.count), "no frame came for the trigger of this line")
 
 
-async def _next(scan: Scan, stream: FrameStream, line: int) -> FrameEvent | None:
+async def _next(scan: Scan, stream: FrameStream, sweep: Sweep, line: int) -> FrameEvent | None:
     """The next event; None when the camera is silent beyond its deadline, or disarmed because a stop was asked for."""
     try:
-        async with asyncio.timeout(scan.deadlines.frame_s + (0.0 if line else scan.deadlines.first_move_s)):
+        async with asyncio.timeout(_patience_s(scan, sweep, line)):
             return await anext(stream, None)
     except TimeoutError:
         return None
+
+
+def _patience_s(scan: Scan, sweep: Sweep, line: int) -> float:
+    """How long a frame may take after its predecessor; the first waits for the run-up, too."""
+    first_s = 0.0 if line else scan.deadlines.first_move_s + 2 * as_sweeping(scan.actuator).run_up_s(sweep)
+    return first_s + 2 * sweep.period_s + scan.deadlines.frame_s
 
 
 async def _refuse_surplus(scan: Scan, stream: FrameStream) -> None:
