@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from scanhsi_sim.scenes import SCENES, Scene, load_scene
 from scanhsi_sim.twins import gvcp, netns, registers
 from scanhsi_sim.twins.fake import FakeCamera
-from scanhsi_sim.twins.mirror_log import MirrorLog
+from scanhsi_sim.twins.mirror import MirrorState
 from scanhsi_sim.twins.native import MissingRequirement
 from scanhsi_sim.twins.payload import BITS, pack
 from scanhsi_sim.twins.sensor import Exposure, Sensor, Source
@@ -53,7 +53,7 @@ class Twin:
     """The running camera: a thread that times exposures, one that renders and sends frames, and Aravis' own.
 
     Attributes:
-        span: Lowest and highest mirror position between two times (`MirrorLog.span`).
+        span: Lowest and highest mirror position between two times (`MirrorState.span`).
     """
 
     camera: FakeCamera
@@ -176,7 +176,7 @@ def build(arguments: argparse.Namespace) -> Twin:
     """Put the twin together; from here on it answers on the network."""
     netns.require_private_network()
     scene = load_scene(arguments.scene, seed=arguments.seed)
-    span = MirrorLog(arguments.mirror).span if arguments.mirror else _standing(arguments.step)
+    span = MirrorState.open(arguments.mirror).span if arguments.mirror else _standing(arguments.step)
     pulses = None
     if arguments.trigger_socket:
         pulses = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

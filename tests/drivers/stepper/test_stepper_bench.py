@@ -68,7 +68,7 @@ def test_positions_wrap_to_the_turn_around_home() -> None:
 
 def test_a_file_that_is_no_mirror_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"1234")
-    with pytest.raises(ValueError, match="length is 4, not 56"):
+    with pytest.raises(ValueError, match="length is 4, not 131144"):
         MirrorState.open(tmp_path / "x")
 
 

@@ -69,11 +69,17 @@ void mirror_put(int64_t position);  /* turn it by hand */
 void mirror_lose(uint64_t nth);     /* the motor will not follow the nth step pulse from now; 0 = forget it */
 
 /* --- publish.c: the mirror's state in a memory-mapped file ------------------------------------------------------- */
-/* Layout of the file, 56 bytes, little endian, all fields aligned. A writer (the bench) and any number of readers:
- * `seq` is odd while the writer is at work; a reader takes `seq`, the fields and `seq` again, and starts over when the
- * two differ or are odd. Times are CLOCK_MONOTONIC of this host at which the emulated event happens on the
- * bench's paced clock; it appears here later than that by up to one slice of emulation (0.2 ms while the mirror moves),
- * and by more when the host stalls. */
+/* Layout of the file, little endian, all fields aligned. A writer (the bench) and any number of readers.
+ * The present: `seq` is odd while the writer is at work; a reader takes `seq`, the fields and `seq` again, and starts over
+ * when the two differ or are odd.
+ * The past: `changes` is raised after entry number `changes` was written, at `changes` % MIRROR_HISTORY; a reader takes
+ * `changes`, the entries and `changes` again, and believes those before the first that were not overwritten meanwhile.
+ * Times are CLOCK_MONOTONIC of this host at which the emulated event happens on the bench's paced clock. It appears here later
+ * than that, by up to one slice of emulation and by more when the host stalls: `complete_ns` tells up to when all is here. */
+#define MIRROR_HISTORY 8192 /* entries; also in mirror.py */
+struct mirror_change {
+    int64_t host_ns, position_steps; /* when it came where */
+};
 struct mirror_state {
     uint64_t seq;
     int64_t position_steps;       /* of the mirror itself: 0 = home index edge, whatever the firmware counts */
@@ -82,11 +88,15 @@ struct mirror_state {
     uint64_t trig_count;          /* trigger pulses since the start */
     int64_t last_trig_position;
     int64_t last_trig_host_ns;    /* 0 = none yet */
+    int64_t complete_ns;
+    uint64_t changes;
+    struct mirror_change history[MIRROR_HISTORY];
 };
 
 bool publish_open(const char *path);
 void publish_position(int64_t position, unsigned steps, int64_t host_ns); /* steps: 1, or 0 = turned by hand */
 void publish_trigger(int64_t position, int64_t host_ns);
+void publish_time(int64_t host_ns); /* all until then is published */
 
 /* --- triggers.c -------------------------------------------------------------------------------------------------- */
 bool triggers_open(const char *socket_path, bool stream);

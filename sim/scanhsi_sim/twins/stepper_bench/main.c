@@ -106,6 +106,7 @@ static int loop(void)
             fprintf(stderr, "stepper_bench: the firmware crashed\n");
             return 3;
         }
+        publish_time(paced_ns());
         if (serial_notice_open() && options.auto_reset_ms >= 0) {
             serial_reset();
             cpu_reset(RESET_EXTERNAL, CPU_HZ / 1000 * (uint64_t)options.auto_reset_ms);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include <fcntl.h>
+#include <string.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
@@ -26,7 +27,7 @@ bool publish_open(const char *path)
     if (map == MAP_FAILED)
         return false;
     state = map;
-    *state = (struct mirror_state){ 0 };
+    memset(state, 0, sizeof *state);
     return true;
 }
 
@@ -45,7 +46,11 @@ void publish_position(int64_t position, unsigned steps, int64_t now)
     state->last_step_host_ns = now;
     state->step_count += steps;
     end_write();
+    state->history[state->changes % MIRROR_HISTORY] = (struct mirror_change){ now, position };
+    __atomic_store_n(&state->changes, state->changes + 1, __ATOMIC_RELEASE);
 }
+
+void publish_time(int64_t now) { __atomic_store_n(&state->complete_ns, now, __ATOMIC_RELEASE); }
 
 void publish_trigger(int64_t position, int64_t now)
 {

@@ -1,7 +1,5 @@
-"""Where the mirror was between two times, as the camera's twin remembers it."""
+"""Where the mirror was between two times."""
 
-import subprocess
-import sys
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scanhsi_sim.twins.mirror_log import span_of
+from scanhsi_sim.twins.mirror import HISTORY, MirrorState, span_of
 from support.mirror_file import MirrorFile
 
 LOG = np.array([(0, 100), (1000, 101), (2000, 102), (3000, 100)])
@@ -35,30 +33,22 @@ def test_span(start_ns: int, end_ns: int, span: tuple[int, int]) -> None:
     assert span_of(LOG, start_ns, end_ns) == span
 
 
-WATCHER = """
-import sys
-from scanhsi_sim.twins.mirror_log import MirrorLog
-log = MirrorLog(sys.argv[1])
-print("ready", flush=True)
-for line in sys.stdin:
-    print(*log.span(*map(int, line.split())), flush=True)
-"""
-
-
-@pytest.mark.twin  # needs the compiler
-def test_the_log_follows_the_mirror_whenever_it_is_asked(tmp_path: Path) -> None:
+def test_the_file_remembers_where_the_mirror_was(tmp_path: Path) -> None:
     mirror = MirrorFile(tmp_path / "mirror", position=7)
-    command = [sys.executable, "-c", WATCHER, str(mirror.path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as watcher:
-        assert watcher.stdin is not None
-        assert watcher.stdout is not None
-        watcher.stdout.readline()
+    with MirrorState.open(mirror.path) as state:
         times = [time.monotonic_ns()]
         for position in (8, 9, 5):
-            time.sleep(0.02)
             mirror.move_to(position)
-            time.sleep(0.02)
             times.append(time.monotonic_ns())
-        watcher.stdin.writelines(f"{start} {end}\n" for start, end in pairwise(times))
-        watcher.stdin.close()
-        assert watcher.stdout.read().split("\n")[:3] == ["7 8", "8 9", "5 9"]
+        assert [state.span(start, end) for start, end in pairwise(times)] == [(7, 8), (8, 9), (5, 9)]
+
+
+def test_a_ring_that_has_gone_round_knows_the_last_changes(tmp_path: Path) -> None:
+    mirror = MirrorFile(tmp_path / "mirror", position=0)
+    with MirrorState.open(mirror.path) as state:
+        for position in range(1, HISTORY + 100):
+            mirror.move_to(position)
+        before = time.monotonic_ns()
+        mirror.move_to(-1)
+        assert state.span(before, time.monotonic_ns()) == (-1, HISTORY + 99)
+        assert state.span(time.monotonic_ns() - 1, time.monotonic_ns()) == (-1, -1)
