@@ -9,7 +9,7 @@ can be faster for the same realised delays (Baccelli, Cohen, Olsder, Quadrat, *S
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ Ns = NDArray[np.int64]
 @dataclass(frozen=True, slots=True)
 class LineDelays:
     """Realised delays of the lines of one scan: int64 arrays of equal length in ns.
+
+    What only a model knows, not the stamps of a scan, has a default without effect; so a bound from stamps stays a bound.
 
     Attributes:
         exposure: Exposure time.
@@ -33,6 +35,11 @@ class LineDelays:
         overlap: Whether it does.
         buffers: Frame buffers of the camera: a line is not exposed before the one so many lines earlier is unpacked. Where a slow
             link or copy sets the pace, this is how it does.
+        event: End of exposure until the host knows it; None for no time.
+        first_row_ns: End of exposure to the first row on the wire.
+        whole_frame: A frame is not received before it is read out.
+        line_buffers: Line buffers of storage: a line is not exposed before the one so many lines earlier is stored; None for any
+            number.
     """
 
     exposure: Ns
@@ -45,6 +52,74 @@ class LineDelays:
     dead_ns: int
     overlap: bool
     buffers: int
+    event: Ns | None = None
+    first_row_ns: int = 0
+    whole_frame: bool = False
+    line_buffers: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Earliest possible times of each line, int64 (n,), ns; line 0 is exposed from 0 on.
+
+    Attributes:
+        starts: Exposure begins.
+        received: The frame has come.
+        copied: It is unpacked.
+        stored: It is handed over to storage.
+    """
+
+    starts: Ns
+    received: Ns
+    copied: Ns
+    stored: Ns
+
+
+def earliest(delays: LineDelays, mode: str) -> Schedule:
+    """The earliest schedule: the least solution of the recursion.
+
+    Args:
+        delays: Of n lines.
+        mode: ``sequential``, ``stepped`` or ``continuous``.
+    """
+    rows: list[tuple[int, int, int, int]] = []
+    exposed = told = received = copied = stored = read = 0
+    last_exposure = 0
+    event_column = np.zeros_like(delays.exposure) if delays.event is None else delays.event
+    columns = (
+        delays.exposure,
+        delays.actuate,
+        delays.trigger,
+        event_column,
+        delays.transfer,
+        delays.copy,
+        delays.store,
+    )
+    camera, storage = delays.buffers, delays.line_buffers
+    for line, (exposure, actuate, trigger, event, transfer, copy, store) in enumerate(
+        zip(*(column.tolist() for column in columns), strict=True)
+    ):
+        if line == 0:
+            start = 0
+        else:
+            sensor = max(exposed + delays.dead_ns, read - last_exposure) if delays.overlap else read
+            ready = {"sequential": stored + actuate, "stepped": told + actuate}.get(mode, 0)
+            free = rows[line - camera][2] if line >= camera else 0
+            if storage is not None and line >= storage:
+                free = max(free, rows[line - storage][3])
+            start = max(sensor, max(ready, free) + trigger if mode != "continuous" else free)
+        exposed = start + exposure
+        told = exposed + event if mode != "continuous" else exposed
+        read = exposed + delays.readout_ns
+        received = max(exposed + delays.first_row_ns, received) + transfer
+        if delays.whole_frame:
+            received = max(received, read)
+        copied = max(received, told, copied) + copy
+        stored = max(copied, stored) + store
+        last_exposure = exposure
+        rows.append((start, received, copied, stored))
+    table = np.array(rows, np.int64).reshape(-1, 4)
+    return Schedule(*(np.ascontiguousarray(column) for column in table.T))
 
 
 def earliest_starts(delays: LineDelays, mode: str) -> Ns:
@@ -57,30 +132,7 @@ def earliest_starts(delays: LineDelays, mode: str) -> Ns:
     Returns:
         int64 (n,), ns; line 0 starts at 0.
     """
-    starts: list[int] = []
-    unpacked: list[int] = []
-    exposed = received = copied = stored = read = 0
-    last_exposure = 0
-    columns = (delays.exposure, delays.actuate, delays.trigger, delays.transfer, delays.copy, delays.store)
-    for line, (exposure, actuate, trigger, transfer, copy, store) in enumerate(
-        zip(*(column.tolist() for column in columns), strict=True)
-    ):
-        if line == 0:
-            start = 0
-        else:
-            sensor = max(exposed + delays.dead_ns, read - last_exposure) if delays.overlap else read
-            ready = {"sequential": stored + actuate, "stepped": exposed + actuate}.get(mode, 0)
-            free = unpacked[line - delays.buffers] if line >= delays.buffers else 0
-            start = max(sensor, max(ready, free) + trigger if mode != "continuous" else free)
-        exposed = start + exposure
-        read = exposed + delays.readout_ns
-        received = max(exposed, received) + transfer
-        copied = max(received, copied) + copy
-        unpacked.append(copied)
-        stored = max(copied, stored) + store
-        last_exposure = exposure
-        starts.append(start)
-    return np.array(starts, np.int64)
+    return earliest(delays, mode).starts
 
 
 def mean_period_ns(starts: Ns) -> float:
@@ -101,7 +153,7 @@ class Bound:
     regret: float
 
 
-def bound(starts: Ns, delays: LineDelays, mode: str) -> Bound | None:
+def bound(starts: Ns, delays: LineDelays, mode: str, *, filling: int = 0) -> Bound | None:
     """Compare measured exposure starts with the earliest ones for the same delays.
 
     None where there is nothing to compare: fewer than two lines, or delays that are all zero.
@@ -110,10 +162,31 @@ def bound(starts: Ns, delays: LineDelays, mode: str) -> Bound | None:
         starts: int64 (n,), measured exposure starts, ns.
         delays: Of the same lines.
         mode: As in `earliest_starts`.
-
-    All lines count, also those of the filling pipeline: from line 0 on the theorem holds to the letter.
+        filling: Lines left out at the begin. With 0, all lines count, also those of the filling pipeline, and the theorem holds to
+            the letter. But a sweep has one speed: where the link is the slowest stage, it cannot run ahead until the buffers are
+            full, as the earliest schedule does, and a fair comparison begins behind that, at `LineDelays.buffers` lines or more.
     """
-    earliest = mean_period_ns(earliest_starts(delays, mode))
-    if not earliest > 0:
+    shortest = mean_period_ns(earliest_starts(delays, mode)[filling:])
+    if not shortest > 0:
         return None
-    return Bound(period_s=earliest * 1e-9, regret=mean_period_ns(starts) / earliest)
+    return Bound(period_s=shortest * 1e-9, regret=mean_period_ns(starts[filling:]) / shortest)
+
+
+def regret(starts: Ns, delays: LineDelays, mode: str, *, filling: int = 0) -> float:
+    """Measured line period over the shortest that the same delays allow in this mode; nan where `bound` has nothing to compare."""
+    reached = bound(starts, delays, mode, filling=filling)
+    return reached.regret if reached else float("nan")
+
+
+def price_of_mode(delays: LineDelays, mode: str) -> float:
+    """What the choice of a mode costs, however good the engine: its period over that of a continuous scan with the same delays."""
+    return mean_period_ns(earliest(delays, mode).stored) / mean_period_ns(earliest(delays, "continuous").stored)
+
+
+def price_of_buffers(delays: LineDelays, mode: str) -> float:
+    """What a bounded number of buffers costs: the period with these over that with as many as there are lines.
+
+    Periods are taken where lines are stored: without limit to the buffers a slow link does not hold up the exposures.
+    """
+    unbounded = replace(delays, buffers=len(delays.exposure) + 1, line_buffers=None)
+    return mean_period_ns(earliest(delays, mode).stored) / mean_period_ns(earliest(unbounded, mode).stored)
