@@ -3,7 +3,7 @@
 from scanhsi.devices import Actuator, Backend, Camera
 from scanhsi_sim.actuator import SimulatedActuator
 from scanhsi_sim.camera import OverlappingCamera, create_camera
-from scanhsi_sim.options import ActuatorOptions, CameraOptions
+from scanhsi_sim.options import ActuatorOptions, CameraOptions, actuator_timing, camera_timing
 
 __all__ = ["ActuatorOptions", "CameraOptions", "actuator_backend", "camera_backend"]
 
@@ -13,6 +13,7 @@ camera_backend: Backend[Camera] = Backend(
     device=OverlappingCamera,
     create=create_camera,
     virtual_time=True,
+    timing=camera_timing,
 )
 
 actuator_backend: Backend[Actuator] = Backend(
@@ -21,4 +22,5 @@ actuator_backend: Backend[Actuator] = Backend(
     device=SimulatedActuator,
     create=SimulatedActuator,
     virtual_time=True,
+    timing=actuator_timing,
 )

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from scanhsi.devices.errors import ConfigError
 from scanhsi.timing.delays import DelayProfile, load_profile
+from scanhsi.timing.devices import DeviceTiming
 from scanhsi_sim.scenes import SCENES
 
 
@@ -92,3 +93,19 @@ class ActuatorOptions(_Options):
     )
     max_rate_steps_s: float = Field(default=4000.0, gt=0, description="highest speed of a sweep")
     home_s: float = Field(default=2.0, ge=0, description="how long homing takes")
+
+
+def camera_timing(options: CameraOptions) -> DeviceTiming:
+    """The delays that a simulated camera with these options draws."""
+    return DeviceTiming(
+        find_profile(options.profile),
+        options.seed,
+        sensor=(options.bands, options.samples),
+        whole_transfer=options.whole_transfer,
+        overlap=options.overlap,
+    )
+
+
+def actuator_timing(options: ActuatorOptions) -> DeviceTiming:
+    """The delays that a simulated actuator with these options draws."""
+    return DeviceTiming(find_profile(options.profile), options.seed)

@@ -76,7 +76,7 @@ def scan(
 
     if (output is None) != discard:
         raise typer.BadParameter("say where the cube goes with -o OUT, or --discard it; one of the two.")
-    config = load_instrument(instrument, _parsed(settings or ()))
+    config = load_instrument(instrument, parsed_settings(settings or ()))
     if seed is not None:
         config = config.with_seed(seed)
     if virtual:
@@ -131,7 +131,7 @@ def _finish(report: ScanReport, *, as_json: bool) -> None:
         raise typer.Exit(ExitCode.SCAN_FAILED)
 
 
-def _parsed(settings: Iterable[str]) -> dict[str, object]:
+def parsed_settings(settings: Iterable[str]) -> dict[str, object]:
     """``key=value`` words; values as TOML writes them, anything else as text."""
     values: dict[str, object] = {}
     for setting in settings:

@@ -57,6 +57,8 @@ class Backend(Generic[D]):
         create: Makes the device from its options; opens nothing (that is ``connect``).
         missing: Returns what is missing on this computer and how to get it, or None when the driver can be used.
         virtual_time: Whether the device runs in virtual time, too: it waits through asyncio only and talks to nothing outside.
+        timing: Tells from the options, without a device, what its delays are, as a `scanhsi.timing.devices.DeviceTiming` (typed
+            loosely, for contracts know nothing of timing); None for a driver that cannot know them.
     """
 
     summary: str
@@ -65,6 +67,7 @@ class Backend(Generic[D]):
     create: Callable[[Any], D]
     missing: Callable[[], str | None] = always_available
     virtual_time: bool = False
+    timing: Callable[[Any], object] | None = None
 
     @property
     def capabilities(self) -> tuple[str, ...]:
