@@ -17,7 +17,7 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from scanhsi.cube import CubeSpec, CubeWriter, DiscardSink, LineSink
 from scanhsi.devices import Actuator, Camera, CameraSettings
-from scanhsi.devices.errors import ConfigError
+from scanhsi.devices.errors import ConfigError, DeviceBusy
 from scanhsi.engine import Course, Mode, Progress, ScanPlan, ScanReport, run_scan
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
@@ -77,6 +77,7 @@ class Imager:
     def __init__(self, instrument: Instrument, run: str) -> None:
         self.instrument = instrument
         self.run = run
+        self._scanning = False
 
     @property
     def config(self) -> InstrumentConfig:
@@ -133,11 +134,18 @@ class Imager:
 
         Raises:
             OutOfRange, UnsupportedFeature, CubeExists: Refused; nothing moved, nothing was overwritten.
+            DeviceBusy: A scan of this instrument is under way.
             ScanFailed: It began and did not end well; what was stored is safe and opens as a shorter cube.
         """
+        if self._scanning:
+            raise DeviceBusy("a scan is under way.", device=self.config.name, operation="scan")
         course = self.course(plan)
         sink = DiscardSink() if output is None else self._writer(course, plan, Path(output))
-        return await run_scan(course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop)
+        self._scanning = True
+        try:
+            return await run_scan(course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop)
+        finally:
+            self._scanning = False
 
     def _writer(self, course: Course, plan: ScanPlan, output: Path) -> LineSink:
         settings, roi = course.settings, course.settings.roi
