@@ -97,6 +97,16 @@ def test_stop_at_any_moment_ends_in_a_true_report(mode: Mode, after_s: float) ->
     assert (bench.stopped, bench.armed, sink.closed) == (True, False, True)
 
 
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("after_s", [0.0005, 0.3])
+def test_stop_while_homing_takes_no_line_and_moves_no_further(mode: Mode, after_s: float) -> None:
+    bench, sink = Bench(homed=False), MemorySink()
+    report = scan_and_stop(course(mode), bench, sink, after_s)
+    assert (report.stored, report.missing, report.duration_s, report.stopped_early) == (0, 0, 0, True)
+    assert (bench.exposures, bench.motions, bench.homed) == ([], [], False)
+    assert (bench.stopped, bench.armed, sink.closed) == (True, False, True)
+
+
 class Liar(BenchActuator):
     """Ends its first motion somewhere else, and says so."""
 

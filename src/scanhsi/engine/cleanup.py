@@ -52,7 +52,13 @@ async def clean_up(steps: list[CleanupStep]) -> list[Exception]:
 def tell_nevertheless(failures: Sequence[BaseException]) -> None:
     """Log what failed where a cancellation takes the place of the error: a mirror that may still turn is nobody's secret."""
     for failure in failures:
-        _log.error("failed while the scan was being cancelled", error=f"{type(failure).__name__}: {failure}")
+        known = failure if isinstance(failure, ScanhsiError) else ScanhsiError("")
+        _log.error(
+            "failed while the scan was being cancelled",
+            device=known.device,
+            operation=known.operation,
+            error=f"{type(failure).__name__}: {failure}",
+        )
 
 
 async def _run_all(steps: list[CleanupStep]) -> list[Exception]:

@@ -99,7 +99,7 @@ async def sweep_past(scan: Scan, sweep: Sweep) -> None:
     actuator = as_sweeping(scan.actuator)
     limit_s = scan.deadlines.first_move_s + 2 * (actuator.run_up_s(sweep) + sweep.count * sweep.period_s)
     async with Deadline(limit_s, "sweep", device=device):
-        motion = await _unless_stopped(scan, actuator.sweep(sweep))
+        motion = await unless_stopped(scan, actuator.sweep(sweep))
     if motion is None:
         async with Deadline(STOP_S, "stop", device=device):
             await scan.actuator.stop()
@@ -120,8 +120,11 @@ def as_sweeping(actuator: Actuator) -> Sweeps:
     return require(actuator, Sweeps, "mode 'continuous'", name=actuator.info.name)
 
 
-async def _unless_stopped(scan: Scan, motion: Coroutine[None, None, Motion]) -> Motion | None:
-    """Run a motion to its end, or cancel it when the scan is asked to stop; None then."""
+async def unless_stopped(scan: Scan, motion: Coroutine[None, None, Motion]) -> Motion | None:
+    """Run a motion to its end, or cancel it when the scan is asked to stop, or do not begin it at all; None then."""
+    if scan.stop.is_set():
+        motion.close()
+        return None
     moving = asyncio.ensure_future(motion)
     stopped = asyncio.ensure_future(scan.stop.wait())
     try:

@@ -35,7 +35,7 @@ from scanhsi.devices import (
 )
 from scanhsi.devices.errors import DeviceTimeout, ScanFailed, ScanhsiError
 from scanhsi.engine.cleanup import CleanupStep, clean_up, tell_nevertheless
-from scanhsi.engine.control import arrived, as_sweeping, step_and_expose, sweep_past
+from scanhsi.engine.control import arrived, as_sweeping, step_and_expose, sweep_past, unless_stopped
 from scanhsi.engine.deadlines import HOME_S, STOP_S, STORE_S, Deadline, deadlines
 from scanhsi.engine.plan import Course, Mode
 from scanhsi.engine.receive import receive_exposed, write_lines
@@ -68,7 +68,7 @@ async def run_scan(
         actuator: Connected.
         sink: Where lines go; not opened yet.
         on_progress: Called at most four times a second, in the event loop.
-        stop: Set it to finish the line under way and close; the report then says ``stopped_early``.
+        stop: Set it to finish the line under way and close, before the first line at once; the report then says ``stopped_early``.
 
     Raises:
         OutOfRange, UnsupportedFeature, CubeExists, CubeError: Refused; nothing moved, nothing was overwritten.
@@ -91,7 +91,9 @@ async def run_scan(
     await _open_sink(scan)
     failures = await _to_the_end(scan, acquire)
     if failures:
-        _log.error("scan failed", causes=[str(cause) for cause in failures], stored=scan.records.stored)
+        _log.error(
+            "scan failed", operation="scan", causes=[str(cause) for cause in failures], stored=scan.records.stored
+        )
         stored = scan.records.stored
         raise ScanFailed(failures, stored=stored, lines=course.lines, output=sink.output) from failures[0]
     return report(scan, now_ns())
@@ -172,16 +174,19 @@ async def _configure(scan: Scan) -> Callable[[], Coroutine[None, None, None]]:
 
 
 async def _home(scan: Scan) -> None:
+    """Home where that is due. A stop request ends this, as each motion before the first line, at once: no line is under way."""
     if not scan.actuator.homed:
         async with Deadline(HOME_S, "home", device=scan.actuator.info.name):
-            await scan.actuator.home()
+            await unless_stopped(scan, scan.actuator.home())
 
 
 async def _acquire_stepping(scan: Scan) -> None:
     await _home(scan)
     first = int(scan.course.steps[0])
     async with Deadline(scan.deadlines.first_move_s, f"move_to {first}", device=scan.actuator.info.name, line=0):
-        motion = await scan.actuator.move_to(first)
+        motion = await unless_stopped(scan, scan.actuator.move_to(first))
+    if motion is None:
+        return
     arrived(scan, motion, 0)
     await _arm(scan, Trigger.SOFTWARE)
     async with asyncio.TaskGroup() as tasks:
@@ -194,7 +199,9 @@ async def _acquire_sweeping(scan: Scan, sweep: Sweep, trigger: Trigger) -> None:
     await _home(scan)
     actuator = as_sweeping(scan.actuator)
     async with Deadline(scan.deadlines.first_move_s, "prepare_sweep", device=scan.actuator.info.name):
-        await actuator.prepare_sweep(sweep)
+        motion = await unless_stopped(scan, actuator.prepare_sweep(sweep))
+    if motion is None:
+        return
     await _arm(scan, trigger)
     scan.begun_ns = passing_ns(actuator.run_up_s(sweep))
     places = Places(sweep, trigger, scan.begun_ns, partial(_locate, scan))
@@ -220,7 +227,13 @@ async def _line_period_s(scan: Scan, trigger: Trigger) -> float:
     shortest_s = triggered.shortest_trigger_period_s()
     period_s = scan.course.period_s or shortest_s
     if period_s < shortest_s:
-        _log.warning("period below the camera's shortest: lines will be lost", period_s=period_s, shortest_s=shortest_s)
+        _log.warning(
+            "period below the camera's shortest: lines will be lost",
+            device=camera.info.name,
+            operation="configure",
+            period_s=period_s,
+            shortest_s=shortest_s,
+        )
     return period_s
 
 

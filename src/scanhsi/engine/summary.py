@@ -18,7 +18,7 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
     """
     records, course, camera = scan.records, scan.course, scan.camera
     exposure_s = course.settings.exposure_s
-    duration_s = max(ended_ns - scan.begun_ns, 0) * 1e-9
+    duration_s = max(ended_ns - scan.begun_ns, 0) * 1e-9 if scan.taken else 0.0
     starts_ns = exposure_starts(records.stamps)
     period_s = duration_s if len(starts_ns) == 1 else mean_period_ns(starts_ns) * 1e-9
     starts, delays = delays_of(
