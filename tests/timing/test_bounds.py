@@ -155,3 +155,27 @@ def test_a_slow_link_sets_the_pace_through_the_buffers() -> None:
     delays = constant(400, exposure=20, actuate=5, transfer=40, buffers=4)
     assert mean_period_ns(earliest_starts(delays, "stepped")[10:]) == pytest.approx(40, abs=0.1)
     assert mean_period_ns(earliest_starts(delays, "continuous")[10:]) == pytest.approx(40, abs=0.1)
+
+
+def test_a_sweep_ahead_of_the_buffers_is_not_said_to_beat_physics() -> None:
+    """While the camera's own memory takes the frames, a slow link holds no exposure back."""
+    count = 200
+    nothing = np.zeros(count, np.int64)
+    delays = LineDelays(
+        exposure=np.full(count, 20_000_000),
+        actuate=nothing,
+        trigger=nothing,
+        transfer=np.full(count, 29_000_000),
+        copy=nothing,
+        store=nothing,
+        readout_ns=20_200_000,
+        dead_ns=0,
+        overlap=True,
+        buffers=16,
+    )
+    ahead = bound(np.arange(count) * 20_300_000, delays, "continuous")
+    assert ahead is not None
+    assert ahead.regret == pytest.approx(20.3 / 20.2)
+    kept_up = bound(np.arange(count) * 29_000_000, delays, "continuous")
+    assert kept_up is not None
+    assert kept_up.period_s > 0.026

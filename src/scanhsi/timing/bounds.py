@@ -158,6 +158,9 @@ def bound(starts: Ns, delays: LineDelays, mode: str, *, filling: int = 0) -> Bou
 
     None where there is nothing to compare: fewer than two lines, or delays that are all zero.
 
+    Nothing holds a sweep back, so its exposures can run ahead of the host's buffers as long as the camera's own memory takes the
+    frames, or they are lost: a sweep that did so is compared with what the sensor alone allows.
+
     Args:
         starts: int64 (n,), measured exposure starts, ns.
         delays: Of the same lines.
@@ -166,10 +169,14 @@ def bound(starts: Ns, delays: LineDelays, mode: str, *, filling: int = 0) -> Bou
             the letter. But a sweep has one speed: where the link is the slowest stage, it cannot run ahead until the buffers are
             full, as the earliest schedule does, and a fair comparison begins behind that, at `LineDelays.buffers` lines or more.
     """
+    measured = mean_period_ns(starts[filling:])
     shortest = mean_period_ns(earliest_starts(delays, mode)[filling:])
+    if mode == "continuous" and measured < shortest:
+        unbounded = replace(delays, buffers=len(starts) + 1, line_buffers=None)
+        shortest = mean_period_ns(earliest_starts(unbounded, mode)[filling:])
     if not shortest > 0:
         return None
-    return Bound(period_s=shortest * 1e-9, regret=mean_period_ns(starts[filling:]) / shortest)
+    return Bound(period_s=shortest * 1e-9, regret=measured / shortest)
 
 
 def regret(starts: Ns, delays: LineDelays, mode: str, *, filling: int = 0) -> float:
