@@ -164,7 +164,7 @@ class ScanFailed(ScanhsiError):
         where = f" in {output}" if output else ""
         text = f"scan failed with {stored} of {lines} lines stored{where}: {reason}"
         for cause in causes[1:]:
-            text += f"; then {type(cause).__name__}: {cause}"
+            text = f"{text.rstrip('.')}; then {type(cause).__name__}: {cause}"
         super().__init__(text)
         self.causes = tuple(causes)
         self.stored = stored

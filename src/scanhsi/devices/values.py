@@ -8,6 +8,11 @@ from dataclasses import dataclass
 from scanhsi.devices.errors import OutOfRange
 
 
+def _written(value: float) -> str:
+    """All digits of a whole number: steps and pixels are counted, not rounded."""
+    return f"{value:.0f}" if math.isfinite(value) and value == round(value) and abs(value) < 1e15 else f"{value:g}"
+
+
 @dataclass(frozen=True, slots=True)
 class Range:
     """Allowed values ``minimum, minimum + step, ... <= maximum``; ``step`` 0 means any value between.
@@ -35,7 +40,7 @@ class Range:
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         step = f" in steps of {self.step:g}" if self.step else ""
-        return f"{self.minimum:g} to {self.maximum:g}{unit}{step}"
+        return f"{_written(self.minimum)} to {_written(self.maximum)}{unit}{step}"
 
     def check(self, name: str, value: float, *, device: str | None = None) -> None:
         """Refuse a value outside the range.
@@ -46,7 +51,7 @@ class Range:
         if value not in self:
             unit = f" {self.unit}" if self.unit else ""
             raise OutOfRange(
-                f"{name} {value:g}{unit} is not allowed; allowed is {self}.",
+                f"{name} {_written(value)}{unit} is not allowed; allowed is {self}.",
                 device=device,
                 operation=f"set {name}",
             )

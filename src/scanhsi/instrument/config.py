@@ -96,7 +96,9 @@ class Limits(Written):
 
     exposure_s: Annotated[tuple[Seconds, Seconds] | None, Field(alias="exposure", description="exposure times")] = None
     gain_db: Annotated[tuple[Decibels, Decibels] | None, Field(alias="gain", description="gains")] = None
-    steps: Annotated[tuple[Steps, Steps] | None, Field(description="mirror positions")] = None
+    steps: Annotated[
+        tuple[Steps, Steps] | None, Field(description="mirror positions of lines (a sweep runs up and out beyond them)")
+    ] = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
