@@ -87,18 +87,31 @@ class Share:
     hidden_s: float
 
 
+def deliveries(stamps: Stamps) -> NDArray[np.int64]:
+    """When each line that arrived was in the host's memory, unpacked where it was: int64 (n,), ns, in order.
+
+    The time between two of them is what a line costs. Exposure starts are no measure of that: a camera with memory of its own takes
+    the first lines faster than they can leave it.
+    """
+    for stage in ("copied", "received"):
+        column = stamps[stage]
+        if (column != _ABSENT).any():
+            return column[column != _ABSENT]
+    return np.empty(0, np.int64)
+
+
 def shares(stamps: Stamps) -> dict[str, Share]:
-    """Divide the time between first and last exposure start among the stages, per line.
+    """Divide the time from the first line delivered to the last among the stages, per line.
 
     The ``alone_s`` of all stages and of ``waiting``, in which nothing was busy, add up to the line period. What overlaps is in
     ``hidden_s``: time that an instrument which does everything in turn would have to add (Fig. 5).
 
     Args:
-        stamps: Of a scan with at least two exposure starts.
+        stamps: Of a scan that delivered at least two lines.
     """
     spans = stage_spans(stamps)
-    starts = spans["exposure"].begin
-    begin, end, lines = int(starts[0]), int(starts[-1]), len(starts) - 1
+    arrived = deliveries(stamps)
+    begin, end, lines = int(arrived[0]), int(arrived[-1]), len(arrived) - 1
     edges = np.unique(np.concatenate([edge for span in spans.values() for edge in (span.begin, span.end)]))
     edges = edges[(edges >= begin) & (edges <= end)]
     lengths = np.diff(edges)

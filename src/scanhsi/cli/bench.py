@@ -1,0 +1,208 @@
+"""``scanhsi bench``."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from scanhsi.cli.output import messages, results, write_json
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from scanhsi.bench.curves import Curve
+    from scanhsi.bench.observations import Observation
+    from scanhsi.instrument import InstrumentConfig
+
+_TOLD_EVERY_S = 3.0
+_Word = TypeVar("_Word", bound=StrEnum)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    bench = typer.Typer(no_args_is_help=True, help="Measure what a line costs, and what the engine costs.")
+    bench.command()(lines)
+    app.add_typer(bench, name="bench")
+
+
+def lines(
+    instrument: Annotated[str, typer.Argument(help="Name of a shipped instrument, or path of an instrument file.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="DIR", help="Folder for observations (appended) and figures (replaced)."
+        ),
+    ],
+    exposures: Annotated[
+        str | None, typer.Option(metavar="TIMES", help='As "10 ms, 20 ms"; default: 10 to 500 ms.')
+    ] = None,
+    formats: Annotated[str | None, typer.Option(metavar="FORMATS", help="As Mono8,Mono12; default: all.")] = None,
+    modes: Annotated[str | None, typer.Option(metavar="MODES", help="As sequential,stepped; default: all.")] = None,
+    scenarios: Annotated[
+        str | None,
+        typer.Option(metavar="SCENARIOS", help="Of full, static (mirror), acquire (and discard); default: all."),
+    ] = None,
+    count: Annotated[int, typer.Option("--lines", metavar="N", min=3, help="Lines of each scan.")] = 50,
+    step: Annotated[int, typer.Option(metavar="STEPS", help="Motor steps between lines.")] = 1,
+    virtual: Annotated[bool, typer.Option("--virtual", help="Run in virtual time.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of simulated devices; each exposure adds its number.")] = 1,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Sweep exposure, pixel format, scenario and mode; fit the time of a line; draw Figs. 5, 6 and 13 of the paper.
+
+    [bold]Example[/]: scanhsi bench lines sensors2019 --virtual -o bench
+    """
+    from scanhsi import clock
+    from scanhsi.bench.curves import curves
+    from scanhsi.bench.figures import draw_figures
+    from scanhsi.bench.lines import LineSweep, measure_lines
+    from scanhsi.bench.scenarios import Scenario
+    from scanhsi.devices import PixelFormat
+    from scanhsi.engine import Mode
+    from scanhsi.instrument import load_instrument
+
+    sweep = LineSweep(
+        lines=count,
+        exposures_s=None if exposures is None else [_seconds(text) for text in exposures.split(",")],
+        formats=_words(PixelFormat, formats, "--formats"),
+        modes=_words(Mode, modes, "--modes"),
+        scenarios=_words(Scenario, scenarios, "--scenarios") or tuple(Scenario),
+        step=step,
+        seed=seed,
+    )
+    config = load_instrument(instrument)
+    if virtual and not config.virtual_time:
+        _refuse_virtual(config)
+    began = time.monotonic()
+    command = f"scanhsi bench lines {instrument}, {count} lines a scan, seed {seed}"
+    with _quiet("scanhsi.instrument"):
+        session = clock.run(measure_lines(config, sweep, output, command=command, tell=_teller()), virtual=virtual)
+    fitted = curves(session.observations)
+    figures = draw_figures(session, fitted, output)
+    if json:
+        write_json(
+            {
+                "output": str(output),
+                "figures": [str(path) for path in figures],
+                "simulated": session.facts["simulated"],
+                "scans": len(session.observations),
+                "took_s": time.monotonic() - began,
+                "curves": [_described(curve) for curve in fitted],
+            }
+        )
+        return
+    results().print(_table(fitted))
+    for lost in _lost(fitted):
+        results().print(lost, style="yellow")
+    messages().print(f"{len(session.observations)} scans in {time.monotonic() - began:.1f} s; figures in {output}")
+
+
+def _words(kind: type[_Word], text: str | None, option: str) -> list[_Word] | None:
+    """Comma-separated words of an enumeration."""
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    unknown = [word for word in words if word not in list(kind)]
+    if unknown:
+        raise typer.BadParameter(f"{', '.join(unknown)}: there are {', '.join(kind)}.", param_hint=option)
+    return [kind(word) for word in words]
+
+
+def _seconds(text: str) -> float:
+    from pydantic import TypeAdapter, ValidationError
+
+    from scanhsi.instrument.quantities import Seconds
+
+    try:
+        return float(TypeAdapter(Seconds).validate_python(text.strip()))
+    except ValidationError as error:
+        raise typer.BadParameter(f"{text.strip()!r}: {error.errors()[0]['msg']}", param_hint="--exposures") from error
+
+
+def _refuse_virtual(config: InstrumentConfig) -> None:
+    from scanhsi.devices.errors import ConfigError
+
+    real = [device.driver for device in (config.camera, config.actuator) if not device.backend.virtual_time]
+    raise ConfigError(
+        f"instrument {config.name} cannot run in virtual time: {', '.join(real)} talks to something outside.",
+        hint="leave --virtual out, or measure a simulated instrument.",
+    )
+
+
+def _teller() -> Callable[[int, int, Observation], None]:
+    console, due = messages(), 0.0
+
+    def tell(number: int, total: int, seen: Observation) -> None:
+        nonlocal due
+        if time.monotonic() >= due or number == total:
+            due = time.monotonic() + _TOLD_EVERY_S
+            what = f"{seen.mode}, {seen.scenario}, {seen.pixel_format}, {seen.exposure_s * 1e3:g} ms"
+            console.print(f"scan {number}/{total}: {what}", soft_wrap=True)
+
+    return tell
+
+
+def _described(curve: Curve) -> dict[str, Any]:
+    law = curve.law
+    return {
+        "mode": curve.mode,
+        "scenario": curve.scenario,
+        "pixel_format": curve.pixel_format,
+        "exposure_s": curve.exposure_s.tolist(),
+        "period_s": curve.period_s.tolist(),
+        "added_s": asdict(law.added),
+        "floor_s": None if law.floor is None else asdict(law.floor),
+        "r2": law.r2,
+        "limit_lines_per_second": law.limit_lps,
+        "lines": curve.lines,
+        "missing": curve.missing,
+    }
+
+
+def _table(fitted: list[Curve]) -> RenderableType:
+    from rich.table import Table
+
+    caption = "line period = T + added, or max(T + added, floor), for exposures T; ± is half of the 95 % interval"
+    table = Table(box=None, padding=(0, 1, 0, 0), caption=caption, header_style="bold")
+    for column in ("mode", "scenario", "format"):
+        table.add_column(column, no_wrap=True)
+    for column in ("added, ms", "floor, ms", "limit, 1/s", "at 100 ms"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for curve in fitted:
+        law = curve.law
+        at_100 = 0.1 / law.period_s(curve.exposure_s[:1] * 0 + 0.1)[0]
+        floor = "-" if law.floor is None else str(law.floor)
+        table.add_row(
+            *(curve.mode, curve.scenario, curve.pixel_format, str(law.added), floor),
+            f"{law.limit_lps:.2f}",
+            f"{at_100:.1%}",
+        )
+    return table
+
+
+def _lost(fitted: list[Curve]) -> list[str]:
+    return [
+        f"{curve.missing} of {curve.lines} lines lost: {curve.mode}, {curve.scenario}, {curve.pixel_format}"
+        for curve in fitted
+        if curve.missing
+    ]
+
+
+@contextmanager
+def _quiet(name: str) -> Generator[None]:
+    """A sweep connects its devices a dozen times: nobody wants to read that, except when debugging."""
+    logger = logging.getLogger(name)
+    if logging.getLogger().level > logging.DEBUG:
+        logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(logging.NOTSET)
