@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from scanhsi.timing.bounds import (
     LineDelays,
@@ -219,3 +220,23 @@ def test_the_sizing_rule_is_not_generous() -> None:
 def test_no_such_mode() -> None:
     with pytest.raises(ValueError, match="mode must be one of sequential, stepped, continuous, not 'fly'"):
         circuits("fly", Layout())
+
+
+@pytest.mark.parametrize(
+    ("exposure_ms", "move_ms", "spread_ms", "overlap"),
+    [(100, 10, 1.5, True), (100, 18, 9, False), (20, 18, 9, True), (10, 10, 5, True), (10, 10, 5, False)],
+)
+def test_random_moves_cost_the_mean_of_the_maximum(
+    exposure_ms: float, move_ms: float, spread_ms: float, overlap: bool
+) -> None:
+    """E max(A, R) of a normal A (Clark), not max(E A, R), which `predict` therefore does not show as the period."""
+    n, readout_ms = 20_000, 20.2
+    rng = np.random.default_rng(1)
+    terms = Terms(T_exp_s=exposure_ms * 1e-3, T_rx_s=1e-3, T_rd_s=readout_ms * 1e-3)
+    moves = np.rint(rng.normal(move_ms, spread_ms, n) * 1e6).astype(np.int64)
+    drawn = replace(delays(n, terms, Layout(overlap)), actuate=moves)
+    sensor_ms = readout_ms - exposure_ms if overlap else readout_ms
+    z = (move_ms - sensor_ms) / spread_ms
+    longest_ms = sensor_ms + spread_ms * norm.pdf(z) + (move_ms - sensor_ms) * norm.cdf(z)
+    period_ms = mean_period_ns(earliest(drawn, "stepped").starts) * 1e-6
+    assert period_ms == pytest.approx(exposure_ms + longest_ms, abs=4 * spread_ms / n**0.5)

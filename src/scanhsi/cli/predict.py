@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from scanhsi.engine import ScanPlan
     from scanhsi.timing.devices import InstrumentTiming
     from scanhsi.timing.prediction import Gain, Prediction
+
+
+_WIDE: Final = 110
+"""Columns of a terminal from which on the terms of the slowest circuit fit beside its name."""
 
 
 def register(app: typer.Typer) -> None:
@@ -78,7 +82,8 @@ def predict(
         write_json(_described(config.name, plan, timing, predictions, found, most_smear))
     else:
         console = results()
-        for part in _shown(config.name, plan, timing, predictions, found, most_smear):
+        wide = console.width >= _WIDE
+        for part in _shown(config.name, plan, timing, predictions, found, most_smear, wide=wide):
             console.print(part)
 
 
@@ -117,6 +122,8 @@ def _shown(
     predictions: Sequence[Prediction],
     found: Sequence[Gain],
     most_smear: float,
+    *,
+    wide: bool,
 ) -> Iterator[RenderableType]:
     from rich.text import Text
 
@@ -127,45 +134,42 @@ def _shown(
     marks = Text("; ".join(timing.marks), style="bold yellow")
     absent = Text(", ".join(timing.absent), style="dim") if timing.absent else None
     yield facts({"instrument": name, "scan": lines, "delays": marks, "counted as 0": absent})
-    yield _table(predictions, (plan.mode, plan.pixel_format), most_smear)
+    yield _table(predictions, (plan.mode, plan.pixel_format), most_smear, wide=wide)
     yield from (Text(warning, style="yellow") for warning in _warnings(predictions, plan.exposure_s, most_smear))
     yield Text(f"\nWhat 1 ms less of each delay would gain ({chosen}):", style="bold")
     yield _gains(found) if any(_worth(gain) for gain in found) else Text("nothing: the exposure itself sets the pace.")
 
 
-def _table(predictions: Sequence[Prediction], chosen: tuple[str, str], most_smear: float) -> RenderableType:
+def _table(
+    predictions: Sequence[Prediction], chosen: tuple[str, str], most_smear: float, *, wide: bool
+) -> RenderableType:
     from rich import box
     from rich.table import Table
 
     from scanhsi.cli.summary import duration
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for column in ("mode", "pixel format"):
-        table.add_column(column, no_wrap=True)
+    table.add_column("pixel format", no_wrap=True)
     for column in ("period", "lines/s", "efficiency", "scan", "smear"):
         table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("set by", min_width=8)
-    for row, each in enumerate(predictions):
-        last = row + 1 == len(predictions) or predictions[row + 1].mode != each.mode
+    table.add_column("pace is set by")
+    mode = None
+    for each in predictions:
+        if each.mode != mode:
+            mode = each.mode
+            table.add_row(f"[bold]{mode}[/]")
         smear = f"{each.smear:.0%}" if each.smear else "none"
         table.add_row(
-            each.mode,
-            each.pixel_format,
+            f"  {each.pixel_format}",
             duration(each.period_s),
             f"{each.lines_per_second:.2f}",
             f"{each.efficiency:.1%}",
             duration(each.scan_s),
             f"[yellow]{smear}[/]" if each.smear > most_smear else smear,
-            _pace(each),
+            f"{each.circuit}: {' + '.join(each.critical) or 'nothing'}" if wide else each.circuit,
             style="bold" if (each.mode, each.pixel_format) == chosen else None,
-            end_section=last,
         )
     return table
-
-
-def _pace(prediction: Prediction) -> str:
-    terms = " + ".join(prediction.critical) or "nothing"
-    return f"{prediction.circuit}: {terms}" if "buffers" in prediction.circuit else terms
 
 
 def _warnings(predictions: Sequence[Prediction], exposure_s: float, most_smear: float) -> Iterator[str]:

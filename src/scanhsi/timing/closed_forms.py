@@ -73,7 +73,7 @@ def _stages(layout: Layout) -> Iterator[Circuit]:
         yield Circuit("exposure", ("T_exp", "T_dead"))
         yield Circuit("read-out", ("T_rd",))
     else:
-        yield Circuit("exposure and read-out", ("T_exp", "T_rd"))
+        yield Circuit("expose, read out", ("T_exp", "T_rd"))
     yield Circuit("link", ("T_rx", "T_api"))
     yield Circuit("copy", ("T_mcpy",))
     yield Circuit("storage", ("T_store",))
@@ -81,7 +81,7 @@ def _stages(layout: Layout) -> Iterator[Circuit]:
 
 def _motion(mode: str) -> Iterator[Circuit]:
     if mode == "stepped":
-        yield Circuit("exposure and move", ("T_exp", "T_ev", *_MOVE, "T_trig"))
+        yield Circuit("expose, move", ("T_exp", "T_ev", *_MOVE, "T_trig"))
     elif mode == "sequential":
         for way in _arrivals(mode):
             yield Circuit("all in turn", ("T_exp", *way, "T_mcpy", "T_store", *_MOVE, "T_trig"))
