@@ -180,6 +180,29 @@ def test_a_gap_before_the_first_frame_of_a_free_running_camera_costs_no_line() -
     assert run_virtual(main()).missing_reasons == {}
 
 
+class WholeRates(BenchActuator):
+    """Knows whole steps/s only, as the stepper's firmware."""
+
+    def check_sweep(self, sweep: Sweep) -> Sweep:
+        return replace(super().check_sweep(sweep), rate_steps_s=float(int(sweep.rate_steps_s)))
+
+
+@pytest.mark.parametrize("camera", [BenchCamera, RunningFree])
+def test_a_sweep_slower_than_asked_is_told_and_the_frame_clock_follows(
+    camera: type[BenchCamera], caplog: pytest.LogCaptureFixture
+) -> None:
+    bench, sink = Bench(), MemorySink(capacity=100)
+
+    async def main() -> ScanReport:
+        wanted = course(Mode.CONTINUOUS, lines=60, period_s=0.3)  # 3.33 steps/s, of which 3 can be had
+        return await run_scan(wanted, camera(bench), WholeRates(bench), sink)
+
+    assert run_virtual(main()).period_s == pytest.approx(1 / 3)
+    for line in range(1, 60):  # the first free-running exposure may begin a moment before the mirror is there
+        assert int(sink.pixels[line][0, 0]) == pytest.approx(sink.records.mirror_step[line], abs=1)
+    assert "slower than asked" in caplog.text
+
+
 def test_a_mirror_that_does_not_stop_is_told_of_also_when_the_scan_is_cancelled(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -45,6 +45,9 @@ from scanhsi.engine.summary import report
 from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
 from scanhsi.log import get_logger
 
+SLOWER = 1.01
+"""A sweep whose line period is longer than asked by more than this factor is told of."""
+
 _log = get_logger(__name__)
 
 
@@ -148,7 +151,7 @@ def check(course: Course, camera: Camera, actuator: Actuator) -> Course:
     if course.mode is Mode.CONTINUOUS:
         as_sweeping(actuator)
         if _sweep_trigger(camera) is Trigger.FREE_RUN:
-            require(camera, FreeRunning, "mode 'continuous'", name=camera.info.name)
+            _frame_clock(camera)
     return replace(course, settings=settings)
 
 
@@ -161,6 +164,14 @@ async def _configure(scan: Scan) -> Callable[[], Coroutine[None, None, None]]:
             return partial(_acquire_stepping, scan)
         trigger = _sweep_trigger(scan.camera)
         period_s = await _line_period_s(scan, trigger)
+        sweep = _sweep(scan, trigger, period_s)
+        if trigger is Trigger.FREE_RUN and sweep.period_s != period_s:  # both have to keep the same time
+            await _frame_clock(scan.camera).set_frame_period(sweep.period_s)
+    return partial(_acquire_sweeping, scan, sweep, trigger)
+
+
+def _sweep(scan: Scan, trigger: Trigger, period_s: float) -> Sweep:
+    """The sweep as the actuator will run it; it may be slower than asked, which is told where it matters."""
     sweep = as_sweeping(scan.actuator).check_sweep(
         Sweep(
             first=int(scan.course.steps[0]),
@@ -170,7 +181,15 @@ async def _configure(scan: Scan) -> Callable[[], Coroutine[None, None, None]]:
             pulses=trigger is Trigger.LINE,
         )
     )
-    return partial(_acquire_sweeping, scan, sweep, trigger)
+    if sweep.period_s > SLOWER * period_s:
+        _log.warning(
+            "the actuator sweeps slower than asked: it knows no rate between; take more steps a line, or another period",
+            device=scan.actuator.info.name,
+            operation="check_sweep",
+            asked_s=period_s,
+            period_s=sweep.period_s,
+        )
+    return sweep
 
 
 async def _home(scan: Scan) -> None:
@@ -220,9 +239,8 @@ async def _line_period_s(scan: Scan, trigger: Trigger) -> float:
     """The period asked for, or the shortest at which the camera loses nothing."""
     camera = scan.camera
     if trigger is Trigger.FREE_RUN:
-        running = require(camera, FreeRunning, "mode 'continuous'", name=camera.info.name)
         shortest_s = max(scan.course.settings.exposure_s, camera.info.readout_s)
-        return await running.set_frame_period(scan.course.period_s or shortest_s)
+        return await _frame_clock(camera).set_frame_period(scan.course.period_s or shortest_s)
     triggered = require(camera, HardwareTriggered, "mode 'continuous'", name=camera.info.name)
     shortest_s = triggered.shortest_trigger_period_s()
     period_s = scan.course.period_s or shortest_s
@@ -235,6 +253,10 @@ async def _line_period_s(scan: Scan, trigger: Trigger) -> float:
             shortest_s=shortest_s,
         )
     return period_s
+
+
+def _frame_clock(camera: Camera) -> FreeRunning:
+    return require(camera, FreeRunning, "mode 'continuous'", name=camera.info.name)
 
 
 def _sweep_trigger(camera: Camera) -> Trigger:
