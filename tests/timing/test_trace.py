@@ -118,7 +118,7 @@ def test_shares_of_a_scan_that_the_link_holds_up_are_those_of_lines_delivered() 
     assert set((deliveries(stamps)[1:] - deliveries(stamps)[:-1]).tolist()) == {20 * MS}
     divided = shares(stamps)
     assert sum(share.alone_s for share in divided.values()) == pytest.approx(0.020)
-    assert divided["transfer"].alone_s + divided["transfer"].hidden_s == pytest.approx(0.020)
+    assert divided["transfer"].alone_s + divided["transfer"].hidden_s == pytest.approx(0.020, rel=0.01)
 
 
 def test_shares_of_a_sequential_scan_hide_nothing() -> None:

@@ -11,7 +11,7 @@ neighbouring lines are not independent.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 _REPLICATES: Final = 1000
 _BLOCK: Final = 10
 _LEVELS: Final = (2.5, 97.5)
+_RESOLVED_S: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,8 @@ class Estimate:
 
     def __str__(self) -> str:
         """In ms, with the half width of the interval."""
-        return f"{self.value * 1e3:.2f} ± {(self.high - self.low) / 2 * 1e3:.2f}"
+        value = round(self.value * 1e3, 2) + 0.0  # no minus before a zero
+        return f"{value:.2f} ± {(self.high - self.low) / 2 * 1e3:.2f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +47,13 @@ class Law:
     """A fitted law.
 
     Attributes:
+        overlapped: Which of the two laws it is.
         added: T_extra of an additive law, a of an overlapped one.
         floor: c of an overlapped law; None where the law is additive or no exposure was short enough to meet the floor.
         r2: Share of the variance of lines per second that the law explains.
     """
 
+    overlapped: bool
     added: Estimate
     floor: Estimate | None
     r2: float
@@ -60,9 +64,10 @@ class Law:
         return period if self.floor is None else np.maximum(period, self.floor.value)
 
     @property
-    def limit_lps(self) -> float:
-        """Lines per second as the exposure goes to 0."""
-        return float(1 / self.period_s(np.zeros(1))[0])
+    def limit_lps(self) -> float | None:
+        """Lines per second as the exposure goes to 0; None where the floor that would set it was not met, or is 0."""
+        period_s = float(self.period_s(np.zeros(1))[0])
+        return None if (self.overlapped and self.floor is None) or period_s <= 0 else 1 / period_s
 
 
 def fit_additive(exposures_s: Sequence[float], periods_s: Sequence[Floats]) -> Law:
@@ -74,25 +79,28 @@ def fit_additive(exposures_s: Sequence[float], periods_s: Sequence[Floats]) -> L
     """
     exposure, means, drawn = _prepared(exposures_s, periods_s)
     added = _estimate((means - exposure).mean(), (drawn - exposure).mean(axis=1))
-    return Law(added, None, _r2(1 / means, 1 / (exposure + added.value)))
+    return Law(False, added, None, _r2(1 / means, 1 / (exposure + added.value)))
 
 
 def fit_overlapped(exposures_s: Sequence[float], periods_s: Sequence[Floats]) -> Law:
     """Fit ``T_line = max(T + a, c)``: the best of all ways to divide the exposures into those at the floor and those above it.
+
+    A floor that cannot be told from ``T + a`` of the shortest exposure is none: one point more or less fits by chance.
 
     Args:
         exposures_s: Of each scan.
         periods_s: Line periods of each scan, float64 (lines,).
     """
     exposure, means, drawn = _prepared(exposures_s, periods_s)
-    added, floor = (float(value[0]) for value in _divide(exposure, means[None, :]))
-    added_drawn, floor_drawn = _divide(exposure, drawn)
-    law = Law(
-        _estimate(added, added_drawn),
-        _estimate(floor, floor_drawn[np.isfinite(floor_drawn)]) if np.isfinite(floor) else None,
-        1.0,
+    best, replicates = _divide(exposure, means[None, :]), _divide(exposure, drawn)
+    added, floor = (
+        _estimate(float(value[0]), drawn_value[np.isfinite(drawn_value)])
+        for value, drawn_value in zip(best, replicates, strict=True)
     )
-    return Law(law.added, law.floor, _r2(1 / means, 1 / law.period_s(exposure)))
+    if not floor.low > exposure[0] + added.high + _RESOLVED_S:
+        added, floor = _estimate((means - exposure).mean(), (drawn - exposure).mean(axis=1)), None
+    law = Law(True, added, floor, 1.0)
+    return replace(law, r2=_r2(1 / means, 1 / law.period_s(exposure)))
 
 
 def _divide(exposure: Floats, periods: Floats) -> tuple[Floats, Floats]:
@@ -119,12 +127,16 @@ def _prepared(exposures_s: Sequence[float], periods_s: Sequence[Floats]) -> tupl
 
 
 def _resampled(periods: Floats, rng: np.random.Generator) -> Floats:
-    """Mean periods of replicates made of blocks of neighbouring lines, float64 (replicates,)."""
+    """Mean periods of replicates made of blocks of neighbouring lines, float64 (replicates,).
+
+    Blocks of b out of n lines spread too little, by (n - b) / n in variance; that is made good here.
+    """
     count = len(periods)
-    block = min(_BLOCK, count)
+    block = max(1, min(_BLOCK, count // 5))
     begins = rng.integers(0, count, (_REPLICATES, -(-count // block), 1))
     places = (begins + np.arange(block)).reshape(_REPLICATES, -1)[:, :count] % count
-    return periods[places].mean(axis=1)
+    mean = periods.mean()
+    return mean + (periods[places].mean(axis=1) - mean) * np.sqrt(count / max(count - block, 1))
 
 
 def _estimate(value: float, drawn: Floats) -> Estimate:

@@ -182,7 +182,7 @@ def _table(fitted: list[Curve]) -> RenderableType:
         floor = "-" if law.floor is None else str(law.floor)
         table.add_row(
             *(curve.mode, curve.scenario, curve.pixel_format, str(law.added), floor),
-            f"{law.limit_lps:.2f}",
+            "-" if law.limit_lps is None else f"{law.limit_lps:.2f}",
             f"{at_100:.1%}",
         )
     return table
