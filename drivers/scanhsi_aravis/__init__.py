@@ -5,6 +5,7 @@ from scanhsi.devices.registry import Backend
 from scanhsi_aravis.camera import AravisCamera
 from scanhsi_aravis.lib import missing
 from scanhsi_aravis.options import AravisOptions
+from scanhsi_aravis.timing import timing
 
 __all__ = ["AravisCamera", "AravisOptions", "backend"]
 
@@ -14,4 +15,5 @@ backend: Backend[Camera] = Backend(
     device=AravisCamera,
     create=AravisCamera,
     missing=missing,
+    timing=timing,
 )

@@ -82,12 +82,16 @@ def test_measured_delays_of_a_real_instrument(cli: Cli, tmp_path: Path) -> None:
     path.write_text(json.dumps(profile))
     told = cli("predict", "twin", "--delays", path, "--exposure", "20 ms", "--json").object
     stepped = next(each for each in told["predictions"] if each["mode"] == "stepped")
-    assert stepped["period_s"] == pytest.approx(0.032)
+    assert stepped["period_s"] == pytest.approx(0.033)
     assert "T_rx" in told["counted_as_zero"]  # whoever does not say what is sent gets no transfer time
-    region = ("--set", "roi.samples=2048", "--set", "roi.bands=1088", "--packet-size", "8228")
+    region = ("--set", "roi.samples=2048", "--set", "roi.bands=1088", "--set", "camera.packet_size=8228")
     told = cli("predict", "twin", "--delays", path, "--exposure", "20 ms", *region, "--json").object
     assert told["terms_s"]["T_rx"] == pytest.approx(17.99e-3, abs=5e-6)
     assert "T_rx" not in told["counted_as_zero"]
+    assert told["terms_s"]["T_ev"] == pytest.approx(1e-3)  # the margin of the driver
+    apart = cli("predict", "twin", "--delays", path, "--set", "camera.overlaps_readout=false", "--json").object
+    sweep = next(each for each in apart["predictions"] if each["mode"] == "continuous")
+    assert sweep["period_s"] == pytest.approx(0.032)
 
 
 def test_a_format_without_delays_is_refused(cli: Cli) -> None:

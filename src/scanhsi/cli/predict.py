@@ -47,9 +47,6 @@ def predict(
         Path | None,
         typer.Option(metavar="PROFILE.json", help="Delays of the devices, instead of those that the drivers tell."),
     ] = None,
-    packet_size: Annotated[
-        int, typer.Option(min=37, help="Bytes of a stream packet, for a transfer time that is computed.")
-    ] = 1500,
     most_smear: Annotated[
         float, typer.Option(min=0.01, help="Warn where a continuous scan smears more than this part of a line.")
     ] = 0.5,
@@ -73,7 +70,7 @@ def predict(
     given = {"mode": mode, "lines": lines, "step": step, "exposure": exposure, "pixel_format": pixel_format}
     plan = default_plan(config, **{name: value for name, value in given.items() if value is not None})
     sweep = default_plan(config, mode="continuous", **({} if period is None else {"period": period}))
-    timing = timing_of(config, load_profile(delays) if delays else None, packet_size=packet_size)
+    timing = timing_of(config, load_profile(delays) if delays else None)
     _refuse_unknown(plan, timing)
     exposure_s, count, stride = plan.exposure_s, plan.lines, plan.step
     predictions = predict_all(timing, exposure_s=exposure_s, lines=count, step=stride, period_s=sweep.period_s)

@@ -42,6 +42,8 @@ class DeviceTiming:
         sensor: (bands, samples) of the frame that transfer and copy of the profile are for; None when they are for what is sent.
         whole_transfer: The whole sensor is sent, whatever region is kept.
         overlap: Whether the sensor exposes while it reads the last frame out.
+        complete: These are all of its delays; a stream that is not in the profile takes no time. A real device is measured instead.
+        packet_size: Of stream packets, in bytes, for a transfer time that is computed.
     """
 
     profile: DelayProfile
@@ -49,11 +51,19 @@ class DeviceTiming:
     sensor: tuple[int, int] | None = None
     whole_transfer: bool = False
     overlap: bool = True
+    complete: bool = True
+    packet_size: int = 1500
 
     @cached_property
     def streams(self) -> DelayStreams:
         """The delays of each line."""
         return DelayStreams(self.profile, self.seed)
+
+    def measured(self, profile: DelayProfile) -> DeviceTiming:
+        """The same device with measured delays; where the driver knows only some, those not measured stay."""
+        kept = {} if self.complete else self.profile.streams
+        merged = profile.model_copy(update={"streams": {**kept, **profile.streams}})
+        return replace(self, profile=merged, complete=True)
 
     def part(self, pixel_format: PixelFormat, roi: tuple[int, int] | None) -> tuple[int, int]:
         """Bytes sent of a frame, and bytes of the frame that the profile is for."""
