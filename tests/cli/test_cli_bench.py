@@ -1,0 +1,66 @@
+"""``scanhsi bench``."""
+
+from pathlib import Path
+
+from support.command_line import Cli
+
+
+def test_lines(cli: Cli, mini: Path, tmp_path: Path) -> None:
+    told = cli(
+        "bench", "lines", mini, "--virtual", "-o", tmp_path / "out", "--exposures", "10 ms, 0.02 s", "--lines", "5",
+        "--formats", "Mono8", "--json",
+    ).object  # fmt: skip
+    assert told["scans"] == 2 * (2 * 3 + 1)
+    assert told["simulated"] is True
+    assert len(told["figures"]) == 6
+    assert all(Path(path).exists() for path in told["figures"])
+    sequential = told["curves"][0]
+    assert sequential["exposure_s"] == [0.01, 0.02]
+    assert abs(sequential["added_s"]["value"]) < 1e-6  # an ideal instrument: nothing but exposure
+    assert sequential["missing"] == 0
+
+
+def test_a_second_run_is_appended(cli: Cli, mini: Path, tmp_path: Path) -> None:
+    words = (
+        "--virtual",
+        "-o",
+        tmp_path,
+        "--exposures",
+        "10 ms",
+        "--lines",
+        "3",
+        "--formats",
+        "Mono8",
+        "--modes",
+        "stepped",
+    )
+    sizes = []
+    for _ in range(2):
+        told = cli("bench", "lines", mini, *words, "--scenarios", "full")
+        assert told.code == 0
+        sizes.append((tmp_path / "observations.jsonl").stat().st_size)
+    assert sizes[1] > 1.9 * sizes[0]
+    assert "stepped" in told.out
+
+
+def test_wrong_words_are_told_with_the_right_ones(cli: Cli, mini: Path, tmp_path: Path) -> None:
+    for option, value, known in (
+        ("--modes", "fast", "sequential"),
+        ("--formats", "Mono9", "Mono12Packed"),
+        ("--scenarios", "half", "acquire"),
+        ("--exposures", "20", "unit"),
+    ):
+        told = cli("bench", "lines", mini, "--virtual", "-o", tmp_path / "x", option, value, "--json")
+        assert told.code == 2
+        assert known in told.object["error"]["message"]
+    assert not (tmp_path / "x").exists()
+
+
+def test_real_devices_have_no_virtual_time(cli: Cli, tmp_path: Path) -> None:
+    told = cli("bench", "lines", "twin", "--virtual", "-o", tmp_path / "x", "--json")
+    assert told.code == 2
+    assert "virtual time" in told.object["error"]["message"]
+
+
+def test_help_has_an_example(cli: Cli) -> None:
+    assert "Example: scanhsi bench lines" in cli("bench", "lines", "--help").out
