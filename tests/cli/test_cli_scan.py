@@ -159,3 +159,14 @@ def test_ctrl_c(mini: Path, tmp_path: Path, presses: int, cli: Cli) -> None:
         assert '"type": "Interrupted"' in stdout
         assert f"what was stored before is safe: scanhsi info {out}" in stderr
         assert told["lines_stored"] == 1
+
+
+def test_a_scan_stopped_before_its_first_line_has_no_speed(capsys: pytest.CaptureFixture[str]) -> None:
+    nan = float("nan")
+    nothing = report(stored=0, stopped_early=True, period_s=nan, lines_per_second=nan, efficiency=nan, duration_s=0.0)
+    with pytest.raises(Exception) as caught:
+        scan._finish(nothing, as_json=False)
+    assert caught.value.exit_code == ExitCode.INTERRUPTED  # type: ignore[attr-defined] typer.Exit
+    printed = capsys.readouterr().out
+    assert "0 of 9 lines stored" in printed
+    assert "nan" not in printed

@@ -22,6 +22,7 @@ _MOST_REASONS = 10
 
 def scan_summary(report: ScanReport) -> RenderableType:
     """What ``scanhsi scan`` says at the end."""
+    taken = math.isfinite(report.period_s)  # a scan that is stopped before its first line has no speed
     return Group(
         facts(
             {
@@ -30,8 +31,12 @@ def scan_summary(report: ScanReport) -> RenderableType:
                 "cube": report.output or "discarded",
                 "mode": report.mode,
                 "speed": f"{report.lines_per_second:.2f} lines/s, {duration(report.period_s)} a line, "
-                f"{duration(report.duration_s)} in all",
-                "efficiency": f"{report.efficiency:.1%} of the time exposing {duration(report.exposure_s)} a line",
+                f"{duration(report.duration_s)} in all"
+                if taken
+                else None,
+                "efficiency": f"{report.efficiency:.1%} of the time exposing {duration(report.exposure_s)} a line"
+                if taken
+                else None,
                 "bound": bound(report.bound_s, report.regret),
             }
         ),
