@@ -1,7 +1,12 @@
 """``scanhsi bench``."""
 
+import json
 from pathlib import Path
 
+import pytest
+
+from scanhsi.bench import engine
+from scanhsi.bench.engine import Effort
 from support.command_line import Cli
 
 
@@ -64,3 +69,14 @@ def test_real_devices_have_no_virtual_time(cli: Cli, tmp_path: Path) -> None:
 
 def test_help_has_an_example(cli: Cli) -> None:
     assert "Example: scanhsi bench lines" in cli("bench", "lines", "--help").out
+
+
+def test_engine(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "Effort", lambda lines: Effort(lines, repeats=1, wake_ups=3, timers=3, period_s=0.001))
+    output = tmp_path / "engine.jsonl"
+    told = cli("bench", "engine", "--lines", "10", "-o", output, "--json").object
+    assert [loop["loop"] for loop in told["loops"]] == ["scanhsi", "asyncio"]
+    assert json.loads(output.read_text()) == told
+    shown = cli("bench", "engine", "--lines", "10").out
+    assert "CPU a line, stepped" in shown
+    assert "timer late by" in shown

@@ -83,7 +83,7 @@ class Journal:
         Raises:
             CubeError: The file cannot be written.
         """
-        self._append({"record": "session", "schema": SCHEMA, "session": self._session, **facts})
+        append_json(self._path, {"record": "session", "schema": SCHEMA, "session": self._session, **facts})
 
     def add(self, seen: Observation) -> None:
         """Write one scan."""
@@ -92,7 +92,8 @@ class Journal:
             for stage, column in seen.stamps.items()
             if (column != NOT_STAMPED).any()
         }
-        self._append(
+        append_json(
+            self._path,
             {
                 "record": "scan",
                 "session": self._session,
@@ -104,15 +105,21 @@ class Journal:
                 "lines": seen.lines,
                 "missing": seen.missing,
                 "stamps_ns": stamps,
-            }
+            },
         )
 
-    def _append(self, value: dict[str, Any]) -> None:
-        try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(value, ensure_ascii=False) + "\n")
-        except OSError as error:
-            raise CubeError(f"cannot write {self._path}: {error.strerror or error}.") from error
+
+def append_json(path: Path, value: dict[str, Any]) -> None:
+    """Append one object to a file of JSON lines.
+
+    Raises:
+        CubeError: It cannot be written.
+    """
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(value, ensure_ascii=False) + "\n")
+    except OSError as error:
+        raise CubeError(f"cannot write {path}: {error.strerror or error}.") from error
 
 
 @dataclass(frozen=True, slots=True)

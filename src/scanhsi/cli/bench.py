@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from scanhsi.bench.curves import Curve
+    from scanhsi.bench.engine import LoopReport, Percentiles
     from scanhsi.bench.observations import Observation
     from scanhsi.instrument import InstrumentConfig
 
@@ -30,6 +31,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     bench = typer.Typer(no_args_is_help=True, help="Measure what a line costs, and what the engine costs.")
     bench.command()(lines)
+    bench.command()(engine)
     app.add_typer(bench, name="bench")
 
 
@@ -103,6 +105,64 @@ def lines(
     for lost in _lost(fitted):
         results().print(lost, style="yellow")
     messages().print(f"{len(session.observations)} scans in {time.monotonic() - began:.1f} s; figures in {output}")
+
+
+def engine(
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="JSONL", help="Append the result to this file.")
+    ] = None,
+    hogs: Annotated[int, typer.Option(metavar="N", min=0, help="Keep N processes busy meanwhile.")] = 0,
+    count: Annotated[int, typer.Option("--lines", metavar="N", min=10, help="Lines of each scan.")] = 3000,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Measure the engine with devices that take no time: CPU a line, wake-up latency, timer jitter; our loop and asyncio's.
+
+    [bold]Example[/]: scanhsi bench engine --hogs 2
+    """
+    from scanhsi.bench.engine import Effort, measure_engine
+    from scanhsi.bench.observations import append_json
+    from scanhsi.bench.provenance import provenance
+
+    facts = provenance()
+    reports = measure_engine(Effort(lines=count), hogs=hogs)
+    result = {"record": "engine", "schema": 1, **facts, "loops": [asdict(report) for report in reports]}
+    if output is not None:
+        append_json(output, result)
+    if json:
+        write_json(result)
+    else:
+        results().print(_engine_table(reports))
+
+
+def _engine_table(reports: list[LoopReport]) -> RenderableType:
+    from rich import box
+    from rich.table import Table
+
+    hogs = reports[0].hogs
+    caption = f"with {hogs} busy processes beside it" if hogs else "with nothing else started beside it"
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption)
+    for column in ("us", "loop"):
+        table.add_column(column, no_wrap=True)
+    for column in ("least", "p50", "p95", "p99", "most"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for mode in reports[0].cpu:
+        for report in reports:
+            cost = report.cpu[mode]
+            table.add_row(f"CPU a line, {mode}", report.loop, f"{cost.min_us:.1f}", f"{cost.median_us:.1f}")
+    for name, times in (("wake-up", _wake_up), ("timer late by", _jitter)):
+        for report in reports:
+            told = times(report)
+            numbers = (told.p50_us, told.p95_us, told.p99_us, told.max_us)
+            table.add_row(name, report.loop, "", *(f"{number:.0f}" for number in numbers))
+    return table
+
+
+def _wake_up(report: LoopReport) -> Percentiles:
+    return report.wake_up
+
+
+def _jitter(report: LoopReport) -> Percentiles:
+    return report.jitter
 
 
 def _words(kind: type[_Word], text: str | None, option: str) -> list[_Word] | None:
