@@ -46,6 +46,15 @@ def test_a_second_run_is_appended(cli: Cli, mini: Path, tmp_path: Path) -> None:
         sizes.append((tmp_path / "observations.jsonl").stat().st_size)
     assert sizes[1] > 1.9 * sizes[0]
     assert "stepped" in told.out
+    again = cli("bench", "draw", tmp_path)
+    assert again.code == 0
+    assert again.out == told.out
+
+
+def test_nothing_to_draw(cli: Cli, tmp_path: Path) -> None:
+    assert cli("bench", "draw", tmp_path).code == 4
+    (tmp_path / "observations.jsonl").touch()
+    assert "no session" in cli("bench", "draw", tmp_path).err
 
 
 def test_wrong_words_are_told_with_the_right_ones(cli: Cli, mini: Path, tmp_path: Path) -> None:

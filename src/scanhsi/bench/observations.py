@@ -51,7 +51,7 @@ class Observation:
 
     @property
     def periods_s(self) -> NDArray[np.float64]:
-        """Time from one line delivered to the next, in s, float64. A lost line makes its successor's period longer."""
+        """Time from one line delivered to the next, in s, float64; see `deliveries`. A lost line makes its successor's longer."""
         return np.diff(deliveries(self.stamps)) * 1e-9
 
 

@@ -19,6 +19,8 @@ from scanhsi.bench.style import FORMAT_TITLES, STAGE_COLOURS, canvas, source_of
 from scanhsi.timing.spans import Share, shares
 
 _ORDER: Final = ("exposure", "transfer", "copy", "store", "move", "waiting")
+_HIDDEN: Final = ("exposure", "transfer", "copy", "move")
+"""Stages whose overlapped time is drawn: of storing, most is waiting until a batch of lines is full."""
 _BARS: Final = 7
 _LONGEST_S: Final = 0.1
 """Longer exposures dwarf everything else."""
@@ -50,9 +52,7 @@ def draw_stacks(session: Session) -> Figure:
             _panel(
                 axes, [bar for bar in bars if (bar.seen.pixel_format, bar.seen.mode) == (pixel_format, mode)], chosen
             )
-            axes.set_ylim(
-                0, 1.04e3 * max(sum(share.alone_s + share.hidden_s for share in bar.stages.values()) for bar in bars)
-            )
+            axes.set_ylim(0, 1.04e3 * max(bar.height_s for bar in bars))
             if not row:
                 axes.set_title(mode, fontweight="bold")
             if row == len(formats) - 1:
@@ -70,6 +70,10 @@ class _Bar:
     @property
     def period_s(self) -> float:
         return float(self.seen.periods_s.mean())
+
+    @property
+    def height_s(self) -> float:
+        return self.period_s + sum(self.stages[stage].hidden_s for stage in _HIDDEN if stage in self.stages)
 
 
 def _chosen(scans: Sequence[Observation]) -> list[float]:
@@ -89,7 +93,7 @@ def _panel(axes: Axes, bars: Sequence[_Bar], exposures: list[float]) -> None:
         axes.bar(places, length, bottom=height, width=_WIDTH, color=STAGE_COLOURS[stage], linewidth=0)
         height += length
     axes.hlines(height, places - 0.44, places + 0.44, **_PERIOD)
-    for stage in _ORDER:
+    for stage in _HIDDEN:
         length = np.array([bar.stages.get(stage, none).hidden_s for bar in bars]) * 1e3
         axes.bar(places, length, bottom=height, width=_WIDTH, edgecolor=STAGE_COLOURS[stage], **_HATCHED)
         height += length

@@ -31,6 +31,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     bench = typer.Typer(no_args_is_help=True, help="Measure what a line costs, and what the engine costs.")
     bench.command()(lines)
+    bench.command()(draw)
     bench.command()(engine)
     app.add_typer(bench, name="bench")
 
@@ -105,6 +106,27 @@ def lines(
     for lost in _lost(fitted):
         results().print(lost, style="yellow")
     messages().print(f"{len(session.observations)} scans in {time.monotonic() - began:.1f} s; figures in {output}")
+
+
+def draw(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an earlier `scanhsi bench lines`.")],
+) -> None:
+    """Fit and draw the last session of a folder again, from its raw observations.
+
+    [bold]Example[/]: scanhsi bench draw bench
+    """
+    from scanhsi.bench.curves import curves
+    from scanhsi.bench.figures import draw_figures
+    from scanhsi.bench.observations import OBSERVATIONS, read_sessions
+    from scanhsi.devices.errors import CubeError
+
+    sessions = read_sessions(folder / OBSERVATIONS)
+    if not sessions:
+        raise CubeError(f"{folder / OBSERVATIONS} holds no session.")
+    fitted = curves(sessions[-1].observations)
+    figures = draw_figures(sessions[-1], fitted, folder)
+    results().print(_table(fitted))
+    messages().print(f"{len(figures)} figures in {folder}")
 
 
 def engine(

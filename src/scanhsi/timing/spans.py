@@ -26,6 +26,7 @@ _STAGES = {
 """Stage -> stamps of its begin and end; the order is that in which stages account for a time that several share."""
 
 STAGES = tuple(_STAGES)
+_WARM_UP = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,20 +92,23 @@ def deliveries(stamps: Stamps) -> NDArray[np.int64]:
     """When each line that arrived was in the host's memory, unpacked where it was: int64 (n,), ns, in order.
 
     The time between two of them is what a line costs. Exposure starts are no measure of that: a camera with memory of its own takes
-    the first lines faster than they can leave it.
+    the first lines faster than they can leave it. The first lines, a quarter but at most 5, are left out: caches are cold, and one
+    frame that comes late there would shorten the mean of all that follow.
     """
     for stage in ("copied", "received"):
         column = stamps[stage]
-        if (column != _ABSENT).any():
-            return column[column != _ABSENT]
+        arrived = column[column != _ABSENT]
+        if len(arrived):
+            return arrived[min(_WARM_UP, len(arrived) // 4) :]
     return np.empty(0, np.int64)
 
 
 def shares(stamps: Stamps) -> dict[str, Share]:
-    """Divide the time from the first line delivered to the last among the stages, per line.
+    """Divide the time from the first of `deliveries` to the last among the stages, per line.
 
     The ``alone_s`` of all stages and of ``waiting``, in which nothing was busy, add up to the line period. What overlaps is in
-    ``hidden_s``: time that an instrument which does everything in turn would have to add (Fig. 5).
+    ``hidden_s``: time that an instrument which does everything in turn would have to add (Fig. 5). Only for ``store`` that is not
+    work alone: lines become safe in batches, and a line that waits for its batch counts.
 
     Args:
         stamps: Of a scan that delivered at least two lines.
