@@ -24,6 +24,7 @@ def test_additive_is_exact_without_noise() -> None:
     assert law.floor is None
     assert law.r2 == pytest.approx(1)
     assert law.limit_lps == pytest.approx(30.003)
+    assert law.efficiency(0.1) == pytest.approx(0.75, abs=1e-4)
 
 
 def test_overlapped_is_exact_without_noise() -> None:

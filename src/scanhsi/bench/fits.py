@@ -63,6 +63,10 @@ class Law:
         period = exposure_s + self.added.value
         return period if self.floor is None else np.maximum(period, self.floor.value)
 
+    def efficiency(self, exposure_s: float) -> float:
+        """Part of the time that is exposure (Eq. 3)."""
+        return exposure_s / float(self.period_s(np.array([exposure_s]))[0])
+
     @property
     def limit_lps(self) -> float | None:
         """Lines per second as the exposure goes to 0; None where the floor that would set it was not met, or is 0."""

@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from scanhsi.cli.bench_tables import curve_table, engine_table, lost_lines
 from scanhsi.cli.output import messages, results, write_json
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from scanhsi.bench.curves import Curve
-    from scanhsi.bench.engine import LoopReport, Percentiles
     from scanhsi.bench.observations import Observation
     from scanhsi.instrument import InstrumentConfig
 
@@ -102,8 +100,8 @@ def lines(
             }
         )
         return
-    results().print(_table(fitted))
-    for lost in _lost(fitted):
+    results().print(curve_table(fitted))
+    for lost in lost_lines(fitted):
         results().print(lost, style="yellow")
     messages().print(f"{len(session.observations)} scans in {time.monotonic() - began:.1f} s; figures in {output}")
 
@@ -125,7 +123,7 @@ def draw(
         raise CubeError(f"{folder / OBSERVATIONS} holds no session.")
     fitted = curves(sessions[-1].observations)
     figures = draw_figures(sessions[-1], fitted, folder)
-    results().print(_table(fitted))
+    results().print(curve_table(fitted))
     messages().print(f"{len(figures)} figures in {folder}")
 
 
@@ -153,38 +151,7 @@ def engine(
     if json:
         write_json(result)
     else:
-        results().print(_engine_table(reports))
-
-
-def _engine_table(reports: list[LoopReport]) -> RenderableType:
-    from rich import box
-    from rich.table import Table
-
-    hogs = reports[0].hogs
-    caption = f"with {hogs} busy processes beside it" if hogs else "with nothing else started beside it"
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption)
-    for column in ("us", "loop"):
-        table.add_column(column, no_wrap=True)
-    for column in ("least", "p50", "p95", "p99", "most"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for mode in reports[0].cpu:
-        for report in reports:
-            cost = report.cpu[mode]
-            table.add_row(f"CPU a line, {mode}", report.loop, f"{cost.min_us:.1f}", f"{cost.median_us:.1f}")
-    for name, times in (("wake-up", _wake_up), ("timer late by", _jitter)):
-        for report in reports:
-            told = times(report)
-            numbers = (told.p50_us, told.p95_us, told.p99_us, told.max_us)
-            table.add_row(name, report.loop, "", *(f"{number:.0f}" for number in numbers))
-    return table
-
-
-def _wake_up(report: LoopReport) -> Percentiles:
-    return report.wake_up
-
-
-def _jitter(report: LoopReport) -> Percentiles:
-    return report.jitter
+        results().print(engine_table(reports))
 
 
 def _words(kind: type[_Word], text: str | None, option: str) -> list[_Word] | None:
@@ -247,35 +214,6 @@ def _described(curve: Curve) -> dict[str, Any]:
         "lines": curve.lines,
         "missing": curve.missing,
     }
-
-
-def _table(fitted: list[Curve]) -> RenderableType:
-    from rich.table import Table
-
-    caption = "line period = T + added, or max(T + added, floor), for exposures T; ± is half of the 95 % interval"
-    table = Table(box=None, padding=(0, 1, 0, 0), caption=caption, header_style="bold")
-    for column in ("mode", "scenario", "format"):
-        table.add_column(column, no_wrap=True)
-    for column in ("added, ms", "floor, ms", "limit, 1/s", "at 100 ms"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for curve in fitted:
-        law = curve.law
-        at_100 = 0.1 / law.period_s(curve.exposure_s[:1] * 0 + 0.1)[0]
-        floor = "-" if law.floor is None else str(law.floor)
-        table.add_row(
-            *(curve.mode, curve.scenario, curve.pixel_format, str(law.added), floor),
-            "-" if law.limit_lps is None else f"{law.limit_lps:.2f}",
-            f"{at_100:.1%}",
-        )
-    return table
-
-
-def _lost(fitted: list[Curve]) -> list[str]:
-    return [
-        f"{curve.missing} of {curve.lines} lines lost: {curve.mode}, {curve.scenario}, {curve.pixel_format}"
-        for curve in fitted
-        if curve.missing
-    ]
 
 
 @contextmanager
