@@ -100,3 +100,17 @@ def test_one_scan_at_a_time() -> None:
             assert (await hsi.scan(hsi.default_plan(lines=5), None)).missing == 0
 
     run_virtual(main())
+
+
+def test_limits_of_the_instrument_hold_for_the_run_up_of_a_sweep_too(tmp_path: Path) -> None:
+    async def main() -> None:
+        config = load_instrument("sensors2019", {**SMALL, "limits.steps": [-20, 20]})
+        async with scanhsi.open_instrument(config) as hsi:
+            assert (await hsi.scan(hsi.default_plan(lines=20), None)).missing == 0
+            with pytest.raises(
+                OutOfRange, match="run-up or run-out -?[0-9]+ steps is not allowed; allowed is -20 to 20"
+            ):
+                await hsi.scan(hsi.default_plan(lines=20, mode="continuous"), tmp_path / "new.zarr")
+
+    run_virtual(main())
+    assert not list(tmp_path.iterdir())

@@ -243,6 +243,11 @@ class StepperActuator:
         """Refuse a sweep that cannot be done; return it with the rate in whole steps/s, rounded down."""
         return plan_sweep(sweep, self._options).sweep
 
+    def extent(self, sweep: Sweep) -> tuple[int, int]:
+        """Lowest and highest step of a sweep: the start of its run-up and the end of its run-out, or the other way round."""
+        plan = plan_sweep(sweep, self._options)
+        return min(plan.start, plan.end), max(plan.start, plan.end)
+
     def run_up_s(self, sweep: Sweep) -> float:
         """Time from the call of `sweep` until the mirror passes ``first``: the request on the wire, then the ramp."""
         plan = plan_sweep(sweep, self._options)

@@ -116,6 +116,11 @@ class SimulatedActuator:
             self.info.limits.check(name, step, device=self._name)
         return sweep
 
+    def extent(self, sweep: Sweep) -> tuple[int, int]:
+        """Lowest and highest step of a sweep, run-up and run-out included."""
+        ends = self._ends(sweep)
+        return min(ends), max(ends)
+
     def run_up_s(self, sweep: Sweep) -> float:
         """Mean time from the call of `sweep` until the mirror passes its first line."""
         latency_s = self._profile.mean_s("T_rand") + self._profile.mean_s("T_act")

@@ -143,7 +143,10 @@ class Imager:
         sink = DiscardSink() if output is None else self._writer(course, plan, Path(output))
         self._scanning = True
         try:
-            return await run_scan(course, self.camera, self.actuator, sink, on_progress=on_progress, stop=stop)
+            limits = self.instrument.actuator_info.limits
+            return await run_scan(
+                course, self.camera, self.actuator, sink, limits=limits, on_progress=on_progress, stop=stop
+            )
         finally:
             self._scanning = False
 

@@ -73,6 +73,14 @@ def configure(*, level: str = "info", as_json: bool = False, file: Path | None =
     structlog.configure(processors=_PROCESSORS, wrapper_class=BoundLogger, logger_factory=LoggerFactory())
 
 
+def stderr_is_json() -> bool:
+    """Whether `configure` has made stderr a stream of JSON lines, so that nothing else may be written there."""
+    handlers = logging.getLogger().handlers
+    return any(
+        isinstance(handler, _StderrHandler) and isinstance(handler.formatter, _JsonFormatter) for handler in handlers
+    )
+
+
 def reset() -> None:
     """Undo `configure`; closes its file."""
     root = logging.getLogger()

@@ -1,5 +1,6 @@
 """``scanhsi scan`` and ``info``: from a command line to a cube and back, in virtual time."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -170,3 +171,18 @@ def test_a_scan_stopped_before_its_first_line_has_no_speed(capsys: pytest.Captur
     printed = capsys.readouterr().out
     assert "0 of 9 lines stored" in printed
     assert "nan" not in printed
+
+
+def test_with_log_json_stderr_holds_nothing_but_json_lines(tmp_path: Path) -> None:
+    for extra, code in (([], 0), (["--exposure", "9 s"], 2)):
+        done = subprocess.run(
+            [sys.executable, "-m", "scanhsi", "--log-json", "scan", "--virtual", "--discard", "--lines", "3", *extra],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == code
+        events = [json.loads(line) for line in done.stderr.splitlines()]
+        assert {"connected"} < {event["event"] for event in events}
+    assert events[-1]["level"] == "error"
+    assert "allowed is" in events[-1]["message"]

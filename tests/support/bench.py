@@ -277,6 +277,10 @@ class BenchActuator:
         self.info.limits.check("last step of the sweep", sweep.last)
         return sweep
 
+    def extent(self, sweep: Sweep) -> tuple[int, int]:
+        ends = sweep.first - 40, sweep.last + sweep.every
+        return min(ends), max(ends)
+
     def run_up_s(self, sweep: Sweep) -> float:
         return 0.010
 

@@ -6,11 +6,12 @@ file can name it; one launcher at a time may have it.
 
 import argparse
 import asyncio
+import fcntl
 import os
 import signal
 import sys
 from collections.abc import Awaitable, Generator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from ctypes.util import find_library
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +24,7 @@ from scanhsi_sim.twins.stepper_build import missing_tools
 
 ADDRESS = "127.0.0.1"
 PORT = Path("/tmp/scanhsi-twin/port")
+LOCK = PORT.with_name("lock")
 _GRACE_S = 10.0
 
 
@@ -137,16 +139,17 @@ def _port_at(port: str) -> Generator[None]:
     PORT.parent.mkdir(mode=0o700, exist_ok=True)
     if PORT.parent.stat().st_uid != os.getuid():
         raise PermissionError(f"{PORT.parent} belongs to another user: the twins cannot put their serial port there")
-    if PORT.exists():
-        raise FileExistsError(f"{PORT} is in use: another `scanhsi twin` is running")
-    PORT.unlink(missing_ok=True)  # left by one that was killed
-    PORT.symlink_to(port)
-    try:
-        yield
-    finally:
-        PORT.unlink(missing_ok=True)
-        with suppress(OSError):
-            PORT.parent.rmdir()
+    with LOCK.open("w") as lock:  # let go by the kernel, whatever ends the launcher
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise FileExistsError(f"{PORT} is in use: another `scanhsi twin` is running") from None
+        PORT.unlink(missing_ok=True)  # left by one that was killed
+        PORT.symlink_to(port)
+        try:
+            yield
+        finally:
+            PORT.unlink(missing_ok=True)
 
 
 def _say(text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import sys
@@ -11,8 +12,11 @@ from typing import Any, cast
 from rich.console import Console
 from rich.text import Text
 
+from scanhsi import log
 from scanhsi.cli.codes import ExitCode, exit_code_of
 from scanhsi.devices.errors import ConfigError, ScanFailed, ScanhsiError
+
+_log = log.get_logger(__name__)
 
 
 def results() -> Console:
@@ -21,8 +25,20 @@ def results() -> Console:
 
 
 def messages() -> Console:
-    """Console of progress and messages: stderr."""
+    """Console of progress and messages: stderr, as events where that has to be JSON."""
+    if log.stderr_is_json():
+        return Console(file=_Events(), highlight=False, soft_wrap=True)
     return Console(stderr=True, highlight=False)
+
+
+class _Events(io.StringIO):
+    """Turns each line written into an event."""
+
+    def write(self, text: str, /) -> int:
+        for line in text.splitlines():
+            if line.strip():
+                _log.info(line.strip())
+        return len(text)
 
 
 def write_json(value: dict[str, Any]) -> None:
@@ -38,6 +54,9 @@ def show_error(error: BaseException, *, as_json: bool, debug: bool) -> ExitCode:
     code = exit_code_of(error)
     if as_json:
         write_json({"error": describe_error(error)})
+    if log.stderr_is_json():
+        _log.error("failed", exc_info=error if debug or code is ExitCode.INTERNAL else None, **describe_error(error))
+        return code
     console = messages()
     if debug or code is ExitCode.INTERNAL:
         console.print(Text("".join(traceback.format_exception(error)).rstrip(), style="dim"))

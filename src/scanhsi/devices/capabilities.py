@@ -72,6 +72,10 @@ class Sweeps(Protocol):
         """
         ...
 
+    def extent(self, sweep: Sweep) -> tuple[int, int]:
+        """Lowest and highest step that a sweep reaches, run-up and run-out included."""
+        ...
+
     def run_up_s(self, sweep: Sweep) -> float:
         """Time from the call of `sweep` to the moment the mirror passes ``first``, as well as the driver can tell."""
         ...

@@ -27,6 +27,7 @@ from scanhsi.devices import (
     Camera,
     FreeRunning,
     HardwareTriggered,
+    Range,
     Sighting,
     Sweep,
     Trigger,
@@ -57,6 +58,7 @@ async def run_scan(
     actuator: Actuator,
     sink: LineSink,
     *,
+    limits: Range | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     stop: asyncio.Event | None = None,
 ) -> ScanReport:
@@ -70,6 +72,7 @@ async def run_scan(
         camera: Connected.
         actuator: Connected.
         sink: Where lines go; not opened yet.
+        limits: Steps that the mirror may reach, where that is less than the actuator allows; run-ups of sweeps count.
         on_progress: Called at most four times a second, in the event loop.
         stop: Set it to finish the line under way and close, before the first line at once; the report then says ``stopped_early``.
 
@@ -77,7 +80,7 @@ async def run_scan(
         OutOfRange, UnsupportedFeature, CubeExists, CubeError: Refused; nothing moved, nothing was overwritten.
         ScanFailed: It began and did not end well.
     """
-    course = check(course, camera, actuator)
+    course = check(course, camera, actuator, limits)
     scan = Scan(
         course=course,
         camera=camera,
@@ -90,7 +93,7 @@ async def run_scan(
         on_progress=on_progress,
     )
     scan.records.mirror_angle_rad[:] = course.angles_rad
-    acquire = await _configure(scan)
+    acquire = await _configure(scan, limits)
     await _open_sink(scan)
     failures = await _to_the_end(scan, acquire)
     if failures:
@@ -138,7 +141,7 @@ async def _to_the_end(scan: Scan, acquire: Callable[[], Coroutine[None, None, No
     return failures
 
 
-def check(course: Course, camera: Camera, actuator: Actuator) -> Course:
+def check(course: Course, camera: Camera, actuator: Actuator, limits: Range | None = None) -> Course:
     """Refuse what the devices cannot do, before anything moves; return the course with the settings filled in.
 
     Raises:
@@ -147,7 +150,7 @@ def check(course: Course, camera: Camera, actuator: Actuator) -> Course:
     """
     settings = check_settings(camera.info, course.settings)
     for place, step in (("first", course.steps[0]), ("last", course.steps[-1])):
-        actuator.info.limits.check(f"step of the {place} line", int(step), device=actuator.info.name)
+        (limits or actuator.info.limits).check(f"step of the {place} line", int(step), device=actuator.info.name)
     if course.mode is Mode.CONTINUOUS:
         as_sweeping(actuator)
         if _sweep_trigger(camera) is Trigger.FREE_RUN:
@@ -155,7 +158,7 @@ def check(course: Course, camera: Camera, actuator: Actuator) -> Course:
     return replace(course, settings=settings)
 
 
-async def _configure(scan: Scan) -> Callable[[], Coroutine[None, None, None]]:
+async def _configure(scan: Scan, limits: Range | None) -> Callable[[], Coroutine[None, None, None]]:
     """Apply the settings and settle what can still be refused; return what does the rest. Nothing moves."""
     async with Deadline(scan.deadlines.expose_s, "configure", device=scan.camera.info.name):
         applied = await scan.camera.configure(scan.course.settings)
@@ -164,15 +167,16 @@ async def _configure(scan: Scan) -> Callable[[], Coroutine[None, None, None]]:
             return partial(_acquire_stepping, scan)
         trigger = _sweep_trigger(scan.camera)
         period_s = await _line_period_s(scan, trigger)
-        sweep = _sweep(scan, trigger, period_s)
+        sweep = _sweep(scan, trigger, period_s, limits)
         if trigger is Trigger.FREE_RUN and sweep.period_s != period_s:  # both have to keep the same time
             await _frame_clock(scan.camera).set_frame_period(sweep.period_s)
     return partial(_acquire_sweeping, scan, sweep, trigger)
 
 
-def _sweep(scan: Scan, trigger: Trigger, period_s: float) -> Sweep:
+def _sweep(scan: Scan, trigger: Trigger, period_s: float, limits: Range | None) -> Sweep:
     """The sweep as the actuator will run it; it may be slower than asked, which is told where it matters."""
-    sweep = as_sweeping(scan.actuator).check_sweep(
+    actuator = as_sweeping(scan.actuator)
+    sweep = actuator.check_sweep(
         Sweep(
             first=int(scan.course.steps[0]),
             every=scan.course.stride,
@@ -181,6 +185,9 @@ def _sweep(scan: Scan, trigger: Trigger, period_s: float) -> Sweep:
             pulses=trigger is Trigger.LINE,
         )
     )
+    if limits is not None:
+        for step in actuator.extent(sweep):
+            limits.check("end of the sweep's run-up or run-out", step, device=scan.actuator.info.name)
     if sweep.period_s > SLOWER * period_s:
         _log.warning(
             "the actuator sweeps slower than asked: it knows no rate between; take more steps a line, or another period",

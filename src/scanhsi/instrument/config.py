@@ -97,7 +97,8 @@ class Limits(Written):
     exposure_s: Annotated[tuple[Seconds, Seconds] | None, Field(alias="exposure", description="exposure times")] = None
     gain_db: Annotated[tuple[Decibels, Decibels] | None, Field(alias="gain", description="gains")] = None
     steps: Annotated[
-        tuple[Steps, Steps] | None, Field(description="mirror positions of lines (a sweep runs up and out beyond them)")
+        tuple[Steps, Steps] | None,
+        Field(description="mirror positions, a sweep's run-up and run-out included"),
     ] = None
 
     @model_validator(mode="after")
