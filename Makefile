@@ -48,7 +48,8 @@ soak: $(VENV)/.dev system-test $(VENV)/.gi  ## Slow soaks, not part of `make tes
 	$(BIN)/python -m pytest -m soak --timeout 3600
 
 bench: $(VENV)/.dev  ## Benchmarks of the engine and the writer
-	$(BIN)/python tests/benchmarks/engine_overhead.py
+	$(BIN)/scanhsi bench engine
+	$(BIN)/python tests/benchmarks/bench_cube.py --lines 128
 
 clean:  ## Remove what was built
 	rm -rf $(VENV) $(OUT) site build dist
