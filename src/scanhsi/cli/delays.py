@@ -1,0 +1,178 @@
+"""``scanhsi delays``."""
+
+from __future__ import annotations
+
+import json as json_text
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scanhsi.cli.output import messages, results, write_json
+
+if TYPE_CHECKING:
+    from scanhsi.cube.reader import CubeSummary
+    from scanhsi.timing.delays import DelayProfile
+    from scanhsi.timing.observed import StageTime
+    from scanhsi.timing.recording import Recording
+
+_SHOWN = 10_240
+"""Delays drawn of each stream for `show`."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    delays = typer.Typer(no_args_is_help=True, help="Record the delays of an instrument, and look at them.")
+    delays.command()(record)
+    delays.command()(show)
+    app.add_typer(delays, name="delays")
+
+
+def record(
+    cubes: Annotated[list[Path], typer.Argument(metavar="CUBE...", help="Cubes of one instrument.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="PROFILE.json", help="Profile to write; replaced if it exists.")
+    ],
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Turn the stamps of scans into a delay profile, for `scanhsi predict --delays` and for simulated devices.
+
+    [bold]Example[/]: scanhsi delays record monday.zarr tuesday.zarr -o mine.json
+    """
+    if output.suffix.lower() != ".json":
+        raise typer.BadParameter(f"{output} is not a .json file.", param_hint="--output")
+    from scanhsi.cube.reader import cube_summary
+    from scanhsi.devices.errors import CubeError
+    from scanhsi.timing.recording import profile_of
+
+    summaries = [cube_summary(cube) for cube in cubes]
+    real = all(summary.simulated is False for summary in summaries)
+    profile = profile_of(
+        [_recording(summary) for summary in summaries],
+        name=output.stem,
+        source=_source(summaries),
+        mark="measured" if real else "SIMULATED: measured on simulated devices",
+        readout_s=float(summaries[-1].attributes["devices"]["camera"].get("readout_s") or 0.0),
+    )
+    try:
+        output.write_text(_text(profile), encoding="utf-8")
+    except OSError as error:
+        raise CubeError(f"cannot write {output}: {error.strerror or error}.") from error
+    if json:
+        write_json({"output": str(output), **_described(profile)})
+    else:
+        messages().print(f"{len(profile.streams)} streams ({profile.mark}) in {output}", soft_wrap=True)
+
+
+def show(
+    profile: Annotated[Path, typer.Argument(help="Delay profile.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="PNG", help="Figure to write, with a PDF beside it.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Show a delay profile: a table, and with -o a figure of how often each delay is exceeded.
+
+    [bold]Example[/]: scanhsi delays show mine.json -o mine.png
+    """
+    if output is not None and output.suffix.lower() != ".png":
+        raise typer.BadParameter(f"{output} is not a .png file.", param_hint="--output")
+    from scanhsi.timing.delays import load_profile
+
+    loaded = load_profile(profile)
+    if output is not None:
+        from scanhsi.bench.delay_figure import draw_delays
+        from scanhsi.bench.style import save
+
+        save(lambda: draw_delays(loaded, _SHOWN), output.parent, output.stem)
+    if json:
+        write_json({"output": None if output is None else str(output), **_described(loaded)})
+    else:
+        _show(loaded)
+
+
+def _recording(summary: CubeSummary) -> Recording:
+    from scanhsi.cube.reader import read_records
+    from scanhsi.timing.recording import Recording
+
+    plan = summary.attributes["plan"]
+    return Recording(
+        stamps=read_records(summary.path).stamps,
+        exposure_ns=round(plan["exposure_s"] * 1e9),
+        pixel_format=plan["pixel_format"],
+        steps=plan["step"],
+        stepped=plan["mode"] == "stepped",
+    )
+
+
+def _source(summaries: Sequence[CubeSummary]) -> str:
+    """Scans and devices, in words."""
+    scans = [_scan(summary) for summary in summaries]
+    devices = dict.fromkeys(_devices(summary.attributes["devices"]) for summary in summaries)
+    return f"{'; '.join(scans)}. Devices: {'; '.join(devices)}."
+
+
+def _scan(summary: CubeSummary) -> str:
+    plan, roi = summary.attributes["plan"], f"{summary.shape[0]} x {summary.shape[2]} pixels kept"
+    run, started = summary.attributes["run"], summary.attributes["acquisition"]["started"]
+    simulated = "" if summary.simulated is False else "SIMULATED "
+    exposure = f"{plan['exposure_s'] * 1e3:g} ms"
+    return f"{simulated}run {run} of {started}, {summary.shape[1]} lines, {plan['mode']}, {plan['pixel_format']}, {exposure}, {roi}"
+
+
+def _devices(devices: dict[str, Any]) -> str:
+    known = ("vendor", "model", "serial", "firmware")
+    told = [[str(devices[role][key]) for key in known if devices[role].get(key)] for role in ("camera", "actuator")]
+    return f"{devices['name']}: {' '.join(told[0])} and {' '.join(told[1])}"
+
+
+def _text(profile: DelayProfile) -> str:
+    """The profile as JSON, one line a stream."""
+    known = profile.model_dump(mode="json", by_alias=True, exclude_none=True, exclude={"streams"})
+    streams = {name: model.model_dump(mode="json", exclude_none=True) for name, model in profile.streams.items()}
+    rows = [f"    {json_text.dumps(name)}: {json_text.dumps(model)}" for name, model in streams.items()]
+    return f"{json_text.dumps(known, indent=2)[:-2]},\n" + '  "streams": {\n' + ",\n".join(rows) + "\n  }\n}\n"
+
+
+def _described(profile: DelayProfile) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "name": profile.name,
+        "mark": profile.mark,
+        "source": profile.source,
+        "notes": {stream: model.note for stream, model in profile.streams.items()},
+        "streams": {name: asdict(time) for name, time in _times(profile).items()},
+    }
+
+
+def _times(profile: DelayProfile) -> dict[str, StageTime]:
+    import numpy as np
+
+    from scanhsi.timing.delays import DelayStreams
+    from scanhsi.timing.observed import StageTime
+
+    drawn = DelayStreams(profile, 0)
+    times: dict[str, StageTime] = {}
+    for stream, model in profile.streams.items():
+        for kind in model.by_format or (None,):
+            delays_s = drawn.array_ns(stream, _SHOWN, pixel_format=kind) * 1e-9
+            p50, p99, most = np.quantile(delays_s, (0.5, 0.99, 1)).tolist()
+            more = f" + {profile.per_step_s(stream) * 1e3:g} ms a step" if model.per_step else ""
+            name = f"{stream} {kind or ''}".rstrip() + more
+            times[name] = StageTime(profile.mean_s(stream, pixel_format=kind), p50, p99, most)
+    return times
+
+
+def _show(profile: DelayProfile) -> None:
+    from rich.text import Text
+
+    from scanhsi.cli.summary import facts, stage_table
+
+    console = results()
+    mark = Text(profile.mark, style="bold yellow")
+    console.print(facts({"delays": profile.name, "trust": mark, "source": profile.source}))
+    console.print(stage_table(_times(profile)))
+    for stream, model in profile.streams.items():
+        console.print(Text(f"{stream}: {model.note}", style="dim"))

@@ -1,0 +1,84 @@
+"""``scanhsi delays``: record and show; the loop is closed in virtual time."""
+
+from pathlib import Path
+
+import pytest
+
+from scanhsi.cube.reader import read_records
+from scanhsi.timing.delays import load_profile
+from scanhsi.timing.observed import exposure_starts
+from support.command_line import MINI, Cli
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Path:
+    """The paper's delays on a small sensor."""
+    path = tmp_path / "device.toml"
+    path.write_text(MINI.replace('"ideal"', '"sensors2019"').replace("lines = 6", "lines = 400"))
+    return path
+
+
+def scanned(cli: Cli, device: Path, cube: Path, seed: int, **settings: object) -> float:
+    """Scan; return the mean line period in s."""
+    chosen = {"camera.seed": seed, "actuator.seed": seed, **settings}
+    words = [word for key, value in chosen.items() for word in ("--set", f"{key}={value}")]
+    assert cli("scan", device, "-o", cube, "--virtual", "--mode", "stepped", *words).code == 0
+    starts = exposure_starts(read_records(cube).stamps)
+    return float(starts[-1] - starts[0]) * 1e-9 / (len(starts) - 1)
+
+
+def test_a_recorded_profile_replays_the_scan(cli: Cli, device: Path, tmp_path: Path) -> None:
+    cube, profile = tmp_path / "first.zarr", tmp_path / "mine.json"
+    first_s = scanned(cli, device, cube, 1)
+    told = cli("delays", "record", cube, "-o", profile, "--json").object
+    assert told["streams"]["T_act"]["mean_s"] == pytest.approx(11e-3, rel=0.05)
+    again_s = scanned(
+        cli, device, tmp_path / "again.zarr", 2, **{"camera.profile": profile, "actuator.profile": profile}
+    )
+    assert again_s == pytest.approx(first_s, rel=0.01)
+    efficiencies = [
+        cli("info", tmp_path / name, "--json").object["efficiency"] for name in ("first.zarr", "again.zarr")
+    ]
+    assert efficiencies[1] == pytest.approx(efficiencies[0], rel=0.01)
+    predicted = cli("predict", device, "--delays", profile, "--json").object["predictions"]
+    (stepped,) = [each for each in predicted if each["mode"] == "stepped"]
+    assert stepped["period_s"] == pytest.approx(first_s, rel=0.01)
+
+
+def test_says_where_the_numbers_come_from(cli: Cli, device: Path, tmp_path: Path) -> None:
+    cube, output = tmp_path / "first.zarr", tmp_path / "mine.json"
+    scanned(cli, device, cube, 1, **{"scan.lines": 20})
+    written = cli("delays", "record", cube, "-o", output)
+    assert written.code == 0
+    assert "SIMULATED" in written.err
+    profile = load_profile(output)
+    assert profile.name == "mine"
+    assert profile.mark.startswith("SIMULATED")
+    assert "20 lines, stepped" in profile.source
+    assert "simulated camera" in profile.source
+    assert "20 lines" in profile.streams["T_rx"].note
+
+
+def test_shows_a_profile(cli: Cli, tmp_path: Path) -> None:
+    from importlib.resources import files
+
+    profile, figure = Path(str(files("scanhsi_sim") / "profiles" / "sensors2019.json")), tmp_path / "figure.png"
+    shown = cli("delays", "show", profile, "-o", figure)
+    assert shown.code == 0
+    assert "derived-from-text" in shown.out
+    assert "T_rx Mono12Packed" in shown.out
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    told = cli("delays", "show", profile, "--json").object
+    assert told["streams"]["T_mcpy Mono8"]["mean_s"] == pytest.approx(2.2e-3)
+
+
+def test_nothing_to_draw(cli: Cli, tmp_path: Path) -> None:
+    profile = tmp_path / "none.json"
+    profile.write_text('{"schema": 1, "name": "n", "source": "s", "mark": "m", "streams": {}}')
+    assert cli("delays", "show", profile, "-o", tmp_path / "none.png", "--json").code == 2
+
+
+def test_bad_places(cli: Cli, tmp_path: Path) -> None:
+    assert cli("delays", "record", tmp_path / "no.zarr", "-o", tmp_path / "p.json", "--json").code == 4
+    assert cli("delays", "record", tmp_path / "no.zarr", "-o", tmp_path / "p.txt").code == 2
+    assert cli("delays", "show", tmp_path / "no.json", "--json").code == 2
