@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import zarr
 
 from scanhsi.cube.reader import read_records
 from scanhsi.timing.delays import load_profile
@@ -76,6 +77,16 @@ def test_nothing_to_draw(cli: Cli, tmp_path: Path) -> None:
     profile = tmp_path / "none.json"
     profile.write_text('{"schema": 1, "name": "n", "source": "s", "mark": "m", "streams": {}}')
     assert cli("delays", "show", profile, "-o", tmp_path / "none.png", "--json").code == 2
+
+
+def test_a_cube_that_no_scan_wrote(cli: Cli, device: Path, tmp_path: Path) -> None:
+    cube = tmp_path / "bare.zarr"
+    scanned(cli, device, cube, 1, **{"scan.lines": 4})
+    del zarr.open_group(cube, mode="r+").attrs["plan"]
+    told = cli("delays", "record", cube, "-o", tmp_path / "p.json", "--json")
+    assert told.code == 4
+    assert "does not tell its plan" in told.object["error"]["message"]
+    assert not (tmp_path / "p.json").exists()
 
 
 def test_bad_places(cli: Cli, tmp_path: Path) -> None:

@@ -47,6 +47,10 @@ def record(
     from scanhsi.timing.recording import profile_of
 
     summaries = [cube_summary(cube) for cube in cubes]
+    for summary in summaries:
+        absent = [key for key in ("plan", "run", "devices") if key not in summary.attributes]
+        if absent:
+            raise CubeError(f"{summary.path} does not tell its {', '.join(absent)}: record cubes that scanhsi scanned.")
     real = all(summary.simulated is False for summary in summaries)
     profile = profile_of(
         [_recording(summary) for summary in summaries],
