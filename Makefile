@@ -3,6 +3,8 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := env
+.NOTPARALLEL:       # sets up before it runs, also under `make -j`
+.DELETE_ON_ERROR:   # a .venv that was only half made is made again
 
 # The distribution's Python first: its python3-gi, through which Aravis is reached, fits no other minor version.
 PYTHON ?= $(shell for python in /usr/bin/python3 python3.13 python3.12 python3.11 python3; do \
@@ -37,12 +39,13 @@ lint: $(VENV)/.dev $(VENV)/.gi
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright --warnings src drivers sim
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 
 docs: $(VENV)/.dev  ## Build the documentation in site/
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 twin: $(VENV)/.runtime system-twin $(VENV)/.gi  ## Set up what `scanhsi twin` needs: Aravis and the AVR emulator
+	@echo "ready: $(BIN)/scanhsi twin -- $(BIN)/scanhsi scan twin -o twin.zarr"
 
 soak: $(VENV)/.dev system-test $(VENV)/.gi  ## Slow soaks, not part of `make test`
 	$(BIN)/python -m pytest -m soak --timeout 3600
@@ -82,6 +85,7 @@ system-env system-twin system-test: system-%:
 	if [ -n "$$missing" ]; then \
 		sudo=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 		echo "installing:$$missing"; \
-		$$sudo apt-get update -qq; \
-		DEBIAN_FRONTEND=noninteractive $$sudo apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
+		$$sudo apt-get update -qq -o DPkg::Lock::Timeout=300; \
+		$$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+			-o DPkg::Lock::Timeout=300 $$missing >/dev/null; \
 	fi

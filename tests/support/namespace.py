@@ -33,7 +33,18 @@ class _Child:
         read_end, write_end = os.pipe()
         self.output: IO[str] = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed with the session)
         self.process = subprocess.Popen(
-            [*netns.prefix(), sys.executable, "-m", "pytest", "-m", "", "-p", "no:cacheprovider", "--capture=fd", *nodes],
+            [
+                *netns.prefix(),
+                sys.executable,
+                "-m",
+                "pytest",
+                "-m",
+                "",
+                "-p",
+                "no:cacheprovider",
+                "--capture=fd",
+                *nodes,
+            ],
             cwd=config.rootpath,
             env={**os.environ, _FD: str(write_end)},
             pass_fds=[write_end],
