@@ -35,7 +35,7 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 test: $(VENV)/.dev system-test $(VENV)/.gi lint docs  ## Everything: format, lint, types, layers, documentation, all tests
 	$(BIN)/python -m pytest
 
-lint: $(VENV)/.dev $(VENV)/.gi
+lint: $(VENV)/.dev $(VENV)/.gi  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright --warnings src drivers sim
@@ -85,7 +85,7 @@ system-env system-twin system-test: system-%:
 	if [ -n "$$missing" ]; then \
 		sudo=$$([ "$$(id -u)" = 0 ] || echo sudo); \
 		echo "installing:$$missing"; \
-		$$sudo apt-get update -qq -o DPkg::Lock::Timeout=300; \
+		$$sudo apt-get update -qq; \
 		$$sudo env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
 			-o DPkg::Lock::Timeout=300 $$missing >/dev/null; \
 	fi
