@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 from collections.abc import Awaitable, Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from ctypes.util import find_library
 from importlib.util import find_spec
 from pathlib import Path
@@ -138,7 +138,10 @@ def _port_at(port: str) -> Generator[None]:
     """
     PORT.parent.mkdir(mode=0o700, exist_ok=True)
     if PORT.parent.stat().st_uid != os.getuid():
-        raise PermissionError(f"{PORT.parent} belongs to another user: the twins cannot put their serial port there")
+        raise PermissionError(
+            f"{PORT.parent} belongs to another user, who runs the twins or was killed doing so: "
+            f"the twins cannot put their serial port there. Try: sudo rm -r {PORT.parent}"
+        )
     with LOCK.open("w") as lock:  # let go by the kernel, whatever ends the launcher
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -150,6 +153,9 @@ def _port_at(port: str) -> Generator[None]:
             yield
         finally:
             PORT.unlink(missing_ok=True)
+            LOCK.unlink(missing_ok=True)
+            with suppress(OSError):
+                PORT.parent.rmdir()  # or the next user may not make it
 
 
 def _say(text: str) -> None:
