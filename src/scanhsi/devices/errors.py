@@ -19,6 +19,7 @@
     ├── CubeError                a cube cannot be created, written or read
     │   ├── CubeExists           the output is there already; nothing was touched
     │   └── NotACube             the path holds something else, or nothing
+    ├── CalibrationError         a reference or calibration cannot be made, or does not fit what it is to be used on
     └── ScanFailed               a scan ended early; says why and how many lines are safe
 
 A driver maps every exception of its vendor's library to one of these and raises it ``from`` the original.
@@ -146,6 +147,10 @@ class CubeExists(CubeError):
 
 class NotACube(CubeError):
     """The path holds something that is not a scanhsi cube, or nothing at all."""
+
+
+class CalibrationError(ScanhsiError, ValueError):
+    """A reference or calibration cannot be made from this, or does not fit what it is to be used on."""
 
 
 class ScanFailed(ScanhsiError):

@@ -1,0 +1,212 @@
+"""The steps from raw counts to reflectance.
+
+A step is a frozen description. `bind` fits it to a signal, or refuses before any line is touched, and returns the signal that
+comes out with a pure function which computes some whole lines, (band, line, sample), from any thread or process. What cannot
+be known is nan from where it arises to the end: a saturated pixel never turns into a plausible reflectance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanhsi.devices.errors import CalibrationError
+from scanhsi.processing.reference import Reference
+from scanhsi.processing.signal import Signal
+
+Values = NDArray[Any]
+Bound = Callable[[Values], Values]
+
+_FLOAT: Final = np.dtype(np.float32)
+
+
+class Step(Protocol):
+    """One step of a pipeline."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the provenance."""
+        ...
+
+    def bind(self, signal: Signal) -> tuple[Signal, Bound]:
+        """Fit the step to a signal: what comes out, and the function that computes it.
+
+        Raises:
+            CalibrationError: It does not fit: another sensor region, gain or exposure.
+        """
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Its parameters and sources, plain JSON, for the provenance."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class MaskSaturated:
+    """Counts to float32, saturated pixels to nan.
+
+    Attributes:
+        level: Counts from which a pixel is saturated, where the sensor's plateau lies below full scale; None takes the cube's
+            largest valid value.
+    """
+
+    level: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return "mask saturated"
+
+    def bind(self, signal: Signal) -> tuple[Signal, Bound]:
+        """Same shape, float32."""
+        if signal.units != "counts":
+            raise CalibrationError(f"only raw counts saturate; this is {signal.long_name}.")
+        level = self.level if self.level is not None else signal.saturation
+        return replace(signal, dtype=_FLOAT, saturation=None), partial(_mask, np.inf if level is None else level)
+
+    def describe(self) -> dict[str, Any]:
+        """The level."""
+        return {"level": self.level}
+
+
+def _mask(level: float, lines: Values) -> Values:
+    values = lines.astype(_FLOAT)
+    values[lines >= level] = np.nan
+    return values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SubtractDark:
+    """Subtract a dark reference taken at the same exposure and gain."""
+
+    dark: Reference
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return "subtract dark"
+
+    def bind(self, signal: Signal) -> tuple[Signal, Bound]:
+        """Same shape, dark-corrected counts."""
+        _check_fits(self.dark, signal, "dark reference", exposure=True)
+        corrected = replace(signal, dtype=_FLOAT, long_name="dark-corrected counts")
+        return corrected, partial(_subtract, self.dark.mean[:, None, :])
+
+    def describe(self) -> dict[str, Any]:
+        """The reference."""
+        return self.dark.describe()
+
+
+def _subtract(dark: Values, lines: Values) -> Values:
+    return np.subtract(lines, dark, dtype=_FLOAT)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflectance:
+    """Divide dark-corrected counts by those of a white tile.
+
+    The exposures of cube and tile may differ, since dark-corrected counts are proportional to the exposure.
+
+    Attributes:
+        white: The white reference, as the camera gave it.
+        dark: Dark reference of the white one's exposure.
+        tile: Reflectance of the tile.
+    """
+
+    white: Reference
+    dark: Reference
+    tile: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return "reflectance"
+
+    def bind(self, signal: Signal) -> tuple[Signal, Bound]:
+        """Same shape, a ratio; nan where the tile gave no light."""
+        _check_fits(self.white, signal, "white reference", exposure=False)
+        _check_fits(self.dark, signal, "dark reference of the white one", exposure=False)
+        if wrong := self.white.conditions.differences(self.dark.conditions):
+            raise CalibrationError(
+                f"{self.dark.source} is no dark reference for {self.white.source}: {', '.join(wrong)}."
+            )
+        if not 0 < self.tile <= 1.5:
+            raise CalibrationError(f"a tile cannot have a reflectance of {self.tile:g}.")
+        factor = self._factor(signal.conditions.exposure_s)
+        return replace(signal, dtype=_FLOAT, units="1", long_name="reflectance"), partial(_scale, factor)
+
+    def _factor(self, exposure_s: float | None) -> Values:
+        """Reflectance of one dark-corrected count, (band, 1, sample) float32."""
+        white_s = self.white.conditions.exposure_s
+        ratio = white_s / exposure_s if white_s is not None and exposure_s is not None else 1.0
+        light = (self.white.mean - self.dark.mean)[:, None, :]
+        return np.divide(_FLOAT.type(self.tile * ratio), light, out=np.full_like(light, np.nan), where=light > 0)
+
+    def describe(self) -> dict[str, Any]:
+        """References and tile."""
+        return {"white": self.white.describe(), "dark": self.dark.describe(), "tile": self.tile}
+
+
+def _scale(factor: Values, lines: Values) -> Values:
+    return lines * factor
+
+
+@dataclass(frozen=True, slots=True)
+class BinBands:
+    """Mean of neighbouring bands, five rows a channel in the paper; a shorter rest at the end is a channel too.
+
+    A channel with a saturated row is nan.
+    """
+
+    rows: int
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return "bin bands"
+
+    def bind(self, signal: Signal) -> tuple[Signal, Bound]:
+        """Fewer bands; their wavelengths are the means."""
+        if not 1 <= self.rows <= signal.bands:
+            raise CalibrationError(f"{self.rows} bands cannot be binned into one: there are {signal.bands}.")
+        wavelength = signal.wavelength_nm
+        binned = replace(
+            signal,
+            bands=-(-signal.bands // self.rows),
+            dtype=_FLOAT,
+            wavelength_nm=None if wavelength is None else _means(self.rows, wavelength),
+        )
+        return binned, partial(_means, self.rows)
+
+    def describe(self) -> dict[str, Any]:
+        """How many."""
+        return {"rows": self.rows}
+
+
+def _means(rows: int, values: Values) -> Values:
+    starts = np.arange(0, len(values), rows)
+    counts = np.diff(np.append(starts, len(values))).reshape(-1, *[1] * (values.ndim - 1))
+    means = np.add.reduceat(values, starts, axis=0) / counts
+    return means.astype(values.dtype if values.dtype.kind == "f" else _FLOAT, copy=False)
+
+
+def _check_fits(reference: Reference, signal: Signal, what: str, *, exposure: bool) -> None:
+    if signal.units != "counts":
+        raise CalibrationError(f"a {what} applies to counts; this is {signal.long_name}.")
+    shape = (signal.bands, signal.samples)
+    if reference.mean.shape != shape:
+        there = "x".join(map(str, reference.mean.shape))
+        raise CalibrationError(
+            f"{reference.source} does not fit as {what}: it has {there} bands and samples, not {shape[0]}x{shape[1]}.",
+            hint="take it with the cube's region, before any binning",
+        )
+    if wrong := signal.conditions.differences(reference.conditions, exposure=exposure):
+        raise CalibrationError(
+            f"{reference.source} does not fit as {what}: {', '.join(wrong)}.",
+            hint="take it under the cube's conditions",
+        )
