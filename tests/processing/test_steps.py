@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from scanhsi.calibration.conditions import Conditions
+from scanhsi.calibration.reference import Reference
 from scanhsi.devices.errors import CalibrationError
-from scanhsi.processing import BinBands, MaskSaturated, Pipeline, Reference, Reflectance, Signal, SubtractDark
-from scanhsi.processing.signal import Conditions
+from scanhsi.processing import BinBands, MaskSaturated, Pipeline, Reflectance, Signal, SubtractDark
 
 BANDS, SAMPLES = 11, 7
 TAKEN = Conditions(0.02, 3.0, "Mono12", {"bands": BANDS, "samples": SAMPLES, "band_offset": 0})

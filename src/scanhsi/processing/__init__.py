@@ -1,7 +1,6 @@
 """From raw counts to reflectance: named steps over whole lines, run over cubes of any size or on lines as they arrive."""
 
 from scanhsi.processing.pipeline import Pipeline
-from scanhsi.processing.reference import Reference, average
 from scanhsi.processing.signal import Signal
 from scanhsi.processing.steps import BinBands, MaskSaturated, Reflectance, Step, SubtractDark
 
@@ -9,10 +8,8 @@ __all__ = [
     "BinBands",
     "MaskSaturated",
     "Pipeline",
-    "Reference",
     "Reflectance",
     "Signal",
     "Step",
     "SubtractDark",
-    "average",
 ]

@@ -15,8 +15,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scanhsi.calibration.reference import Reference
 from scanhsi.devices.errors import CalibrationError
-from scanhsi.processing.reference import Reference
 from scanhsi.processing.signal import Signal
 
 Values = NDArray[Any]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanhsi.calibration.conditions import Conditions
 from scanhsi.cube.reader import open_cube
 from scanhsi.cube.records import LineStatus
 from scanhsi.devices.errors import CalibrationError
-from scanhsi.processing.signal import Conditions, Signal
 
 _BLOCK_BYTES = 32_000_000
 
@@ -46,18 +46,19 @@ def average(path: str | Path) -> Reference:
         CalibrationError: It holds no line.
     """
     dataset = open_cube(path)
-    signal = Signal.of(dataset)
+    cube = dataset["cube"]
+    saturation = cube.attrs.get("valid_max")
     stored = np.flatnonzero(np.asarray(dataset["status"].values) == LineStatus.STORED)
     if not stored.size:
         raise CalibrationError(f"{path} holds no line to average.")
-    total = np.zeros((signal.bands, signal.samples))
+    total = np.zeros((dataset.sizes["band"], dataset.sizes["sample"]))
     saturated = np.zeros(total.shape, bool)
-    step = max(1, _BLOCK_BYTES // (total.size * signal.dtype.itemsize))
+    step = max(1, _BLOCK_BYTES // (total.size * cube.dtype.itemsize))
     for lines in np.split(stored, range(step, stored.size, step)):
-        block = np.asarray(dataset["cube"].isel(line=lines).values)
+        block = np.asarray(cube.isel(line=lines).values)
         total += block.sum(axis=1, dtype=np.float64)
-        if signal.saturation is not None:
-            saturated |= (block >= signal.saturation).any(axis=1)
+        if saturation is not None:
+            saturated |= (block >= saturation).any(axis=1)
     mean = (total / stored.size).astype(np.float32)
     mean[saturated] = np.nan
-    return Reference(str(path), mean, int(stored.size), signal.conditions)
+    return Reference(str(path), mean, int(stored.size), Conditions.of(dataset.attrs))
