@@ -16,7 +16,7 @@ def seen(lines: int = 4, origin: int = 10**15) -> Observation:
     for number, stage in enumerate(STAGES):
         if stage != "first_byte":
             records.stamps[stage][:] = origin + 1_000_000 * np.arange(lines) + number
-    records.stamps["commanded"][0] = NOT_STAMPED
+    records.stamps["commanded"][0] = records.stamps["started"][0] = NOT_STAMPED
     records.mark_missing(2, "3 packets missing")
     records.stamps["copied"][2] = NOT_STAMPED
     return observation(records, mode="stepped", scenario="full", pixel_format="Mono8", exposure_s=0.02, seed=3)
@@ -37,7 +37,7 @@ def test_stamps_come_back_as_they_were(tmp_path: Path) -> None:
 
 def test_stamps_count_from_the_first() -> None:
     stamps = seen().stamps
-    assert stamps["commanded"].tolist() == [NOT_STAMPED, 10**6 - 1, 2 * 10**6 - 1, 3 * 10**6 - 1]
+    assert stamps["commanded"].tolist() == [NOT_STAMPED, 10**6 - 2, 2 * 10**6 - 2, 3 * 10**6 - 2]
     assert stamps["moved"][0] == 0
 
 

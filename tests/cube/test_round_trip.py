@@ -106,7 +106,7 @@ def test_records_and_attributes(tmp_path: Path) -> None:
     for stage in STAGES:
         np.testing.assert_array_equal(back.stamps[stage], records.stamps[stage])
     assert (back.stamps["stored"] != NOT_STAMPED).all()
-    for name in ("status", "mirror_step", "mirror_angle_rad", "frame_id", "device_ns"):
+    for name in ("status", "mirror_step", "mirror_angle_rad", "frame_id", "device_ns", "smeared"):
         np.testing.assert_array_equal(getattr(back, name), getattr(records, name))
     assert back.stored == 11
 

@@ -35,6 +35,7 @@ def take_line(records: LineRecords, line: int) -> None:
     records.mirror_angle_rad[line] = 1e-3 * line
     records.frame_id[line] = 7 + line
     records.device_ns[line] = 10_000 * line
+    records.smeared[line] = line % 3 == 1
 
 
 async def feed(

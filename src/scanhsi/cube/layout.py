@@ -2,10 +2,10 @@
 
 A cube is one Zarr v3 group::
 
-    cube                (band, line, sample)  uint8 or uint16, raw counts, sharded by lines
+    cube                (band, line, sample)  uint8, uint16 (raw counts) or float32, sharded by lines
     wavelength          (band)                nm, where calibrated
     time                (line)                wall clock of the start of the exposure
-    mirror_step, mirror_angle_rad, frame_id, device_ns, commanded_ns ... stored_ns     (line)
+    mirror_step, mirror_angle_rad, frame_id, device_ns, smeared, commanded_ns ... stored_ns     (line)
     status              (line)                0 nothing safe here, 1 stored, 2 missing
 
 Every array is created at its planned length and one shard holds whole lines (all bands, all samples), so that a shard is written
@@ -47,10 +47,11 @@ class CubeSpec:
         lines: Planned lines.
         bands: Rows of a frame.
         samples: Pixels along the slit.
-        dtype: uint8 or uint16.
-        significant_bits: Of a pixel: 8, 12, 16. Values are never scaled.
+        dtype: uint8 or uint16; float32 for what is no count any more (reflectance, radiance).
+        significant_bits: Of a pixel: 8, 12, 16; None for float32. Values are never scaled.
         attributes: What the cube says about itself, plain JSON: ``plan``, ``instrument``, ``devices``, ``versions``, ``simulated``.
         wavelength_nm: (bands,) float64 where calibrated.
+        pixel_attributes: What the pixels are, instead of raw counts: ``long_name``, ``units``.
 
     Raises:
         ValueError: Sizes, dtype, attributes or wavelengths that cannot be a cube.
@@ -60,17 +61,19 @@ class CubeSpec:
     bands: int
     samples: int
     dtype: DTypeLike
-    significant_bits: int
+    significant_bits: int | None
     attributes: Mapping[str, Any] = field(default_factory=dict[str, Any])
     wavelength_nm: NDArray[np.float64] | None = None
+    pixel_attributes: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def __post_init__(self) -> None:
         if min(self.lines, self.bands, self.samples) < 1:
             raise ValueError(f"a cube needs at least one line, band and sample, not {self.shape}")
-        if np.dtype(self.dtype) not in (np.dtype(np.uint8), np.dtype(np.uint16)):
-            raise ValueError(f"a cube holds uint8 or uint16, not {np.dtype(self.dtype)}")
-        if not 1 <= self.significant_bits <= 8 * np.dtype(self.dtype).itemsize:
-            raise ValueError(f"{np.dtype(self.dtype)} cannot have {self.significant_bits} significant bits")
+        dtype, bits = np.dtype(self.dtype), self.significant_bits
+        if dtype not in (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32)):
+            raise ValueError(f"a cube holds uint8, uint16 or float32, not {dtype}")
+        if bits is not None if dtype.kind == "f" else bits is None or not 1 <= bits <= 8 * dtype.itemsize:
+            raise ValueError(f"{dtype} cannot have {bits} significant bits")
         if self.wavelength_nm is not None and np.shape(self.wavelength_nm) != (self.bands,):
             raise ValueError(f"wavelength_nm must have shape ({self.bands},), not {np.shape(self.wavelength_nm)}")
         if taken := _RESERVED & set(self.attributes):
@@ -187,6 +190,16 @@ RECORDS: Final = (
         NOT_STAMPED,
         {"long_name": "camera clock, its own epoch", "units": "ns", "not_stamped": NOT_STAMPED},
     ),
+    LineVariable(
+        "smeared",
+        "uint8",
+        0,
+        {
+            "long_name": "mirror moved before the exposure had ended",
+            "flag_values": [0, 1],
+            "flag_meanings": "still smeared",
+        },
+    ),
     *(_stamp(stage) for stage in STAGES),
 )
 """Per-line arrays but ``status``, which is written after them."""
@@ -208,14 +221,11 @@ def cube_attributes(spec: CubeSpec) -> dict[str, Any]:
     coordinates = [variable.name for variable in (*RECORDS, STATUS)]
     if spec.wavelength_nm is not None:
         coordinates.insert(0, "wavelength")
-    return {
-        "long_name": "raw camera counts",
-        "units": "1",
-        "valid_min": 0,
-        "valid_max": 2**spec.significant_bits - 1,
-        "significant_bits": spec.significant_bits,
-        "coordinates": " ".join(coordinates),
-    }
+    names = {"long_name": "raw camera counts", "units": "1", "coordinates": " ".join(coordinates)}
+    if spec.significant_bits is None:
+        return {**names, "long_name": "pixel values", **spec.pixel_attributes}
+    valid = {"valid_min": 0, "valid_max": 2**spec.significant_bits - 1, "significant_bits": spec.significant_bits}
+    return {**names, **valid, **spec.pixel_attributes}
 
 
 WAVELENGTH_ATTRIBUTES: Final = {

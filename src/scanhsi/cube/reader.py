@@ -60,7 +60,10 @@ def read_records(path: str | Path) -> LineRecords:
     for name in ("mirror_step", "mirror_angle_rad", "frame_id", "device_ns"):
         getattr(records, name)[:] = _array(group, name)[: len(status)]
     for stage in STAGES:
-        records.stamps[stage][:] = _array(group, f"{stage}_ns")[: len(status)]
+        if stage != "started" or "started_ns" in group:  # cubes written before scanhsi knew it
+            records.stamps[stage][:] = _array(group, f"{stage}_ns")[: len(status)]
+    if "smeared" in group:
+        records.smeared[:] = _array(group, "smeared")[: len(status)]
     records.missing.update(_missing(group, status))
     return records
 
@@ -72,8 +75,8 @@ class CubeSummary:
     Attributes:
         path: Of the cube.
         shape: (bands, lines, samples), lines reached.
-        dtype: ``uint8`` or ``uint16``.
-        significant_bits: Of a pixel.
+        dtype: ``uint8``, ``uint16`` or ``float32``.
+        significant_bits: Of a pixel; None for float32.
         lines_planned: Lines of the plan.
         lines_stored: Lines whose pixels are safe.
         lines_missing: Lines that were lost.
@@ -88,7 +91,7 @@ class CubeSummary:
     path: str
     shape: tuple[int, int, int]
     dtype: str
-    significant_bits: int
+    significant_bits: int | None
     lines_planned: int
     lines_stored: int
     lines_missing: int
@@ -118,7 +121,7 @@ def cube_summary(path: str | Path) -> CubeSummary:
         path=str(path),
         shape=(cube.shape[0], len(status), cube.shape[2]),
         dtype=str(cube.dtype),
-        significant_bits=int(str(cube.attrs["significant_bits"])),
+        significant_bits=int(str(cube.attrs["significant_bits"])) if cube.dtype.kind == "u" else None,
         lines_planned=_planned(group),
         lines_stored=int(np.count_nonzero(status == LineStatus.STORED)),
         lines_missing=int(np.count_nonzero(status == LineStatus.MISSING)),

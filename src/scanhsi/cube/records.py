@@ -17,6 +17,7 @@ NOT_STAMPED: Final = int(np.iinfo(np.int64).min)
 
 STAGES: Final = (
     "commanded",
+    "started",
     "moved",
     "trigger",
     "exposure_start",
@@ -28,7 +29,8 @@ STAGES: Final = (
 )
 """Stages of a line in order; each has a column ``<stage>_ns`` on the loop clock.
 
-commanded: the mirror was told to go to this line's step. moved: motion and settle had ended. trigger: the trigger was sent.
+commanded: the mirror was told to go to this line's step. started: it began to move, where the driver can tell, and never later
+than it did. moved: motion and settle had ended. trigger: the trigger was sent.
 exposure_start, exposure_end: as well as the driver knows them. first_byte: of the frame, where known. received: the frame is
 whole in memory. copied: its pixels are unpacked in the line buffer. stored: its data is safe on disk.
 """
@@ -55,6 +57,7 @@ class LineRecords:
         mirror_angle_rad: float64 column: mirror angle from the normal; nan where not taken.
         frame_id: int64 column: the camera's own frame number; -1 is no valid number and means none.
         device_ns: int64 column: the camera's own time stamp, its own epoch.
+        smeared: uint8 column: 1 where look-ahead moved the mirror before the exposure had ended.
         missing: line -> reason, of lines that will never be stored.
     """
 
@@ -66,6 +69,7 @@ class LineRecords:
         self.mirror_angle_rad: NDArray[np.float64] = np.full(lines, np.nan)
         self.frame_id: NDArray[np.int64] = np.full(lines, -1, np.int64)
         self.device_ns: NDArray[np.int64] = np.full(lines, NOT_STAMPED, np.int64)
+        self.smeared: NDArray[np.uint8] = np.zeros(lines, np.uint8)
         self.missing: dict[int, str] = {}
 
     def mark_missing(self, line: int, reason: str) -> None:

@@ -258,6 +258,7 @@ class CubeWriter:
             "mirror_angle_rad": records.mirror_angle_rad[lines].copy(),
             "frame_id": records.frame_id[lines].copy(),
             "device_ns": records.device_ns[lines].copy(),
+            "smeared": records.smeared[lines].copy(),
         }
         columns |= {f"{stage}_ns": records.stamps[stage][lines].copy() for stage in STAGES}
         missing = {int(line): records.missing[int(line)] for line in self._missing_lines(stop)}
