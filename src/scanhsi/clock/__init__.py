@@ -11,10 +11,12 @@ Rules for code that shall be reproducible in virtual time:
 """
 
 from scanhsi.clock.real import RealTimeLoop
+from scanhsi.clock.realtime import Granted, RealTime, real_time
 from scanhsi.clock.running import (
     VirtualOptions,
     hold,
     is_virtual,
+    loop_name,
     now_ns,
     run,
     run_blocking,
@@ -25,14 +27,18 @@ from scanhsi.clock.virtual import CLOCK_LIMIT_S, HoldTimeout, VirtualDeadlock, V
 
 __all__ = [
     "CLOCK_LIMIT_S",
+    "Granted",
     "HoldTimeout",
+    "RealTime",
     "RealTimeLoop",
     "VirtualDeadlock",
     "VirtualOptions",
     "VirtualTimeLoop",
     "hold",
     "is_virtual",
+    "loop_name",
     "now_ns",
+    "real_time",
     "run",
     "run_blocking",
     "run_virtual",

@@ -36,6 +36,15 @@ def is_virtual() -> bool:
     return isinstance(asyncio.get_running_loop(), VirtualTimeLoop)
 
 
+def loop_name() -> str:
+    """The running loop: ``precise`` (`RealTimeLoop`), ``virtual`` (`VirtualTimeLoop`), or the class of another."""
+    loop = asyncio.get_running_loop()
+    if isinstance(loop, VirtualTimeLoop):
+        return "virtual"
+    kind = type(loop)
+    return "precise" if isinstance(loop, RealTimeLoop) else f"{kind.__module__}.{kind.__qualname__}"
+
+
 def hold() -> AbstractContextManager[None]:
     """Let virtual time stand still while entered; does nothing on a real loop."""
     loop = asyncio.get_running_loop()
