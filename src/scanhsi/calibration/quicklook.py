@@ -190,7 +190,8 @@ def _blocks(cube: xr.DataArray, binning: int) -> Iterator[slice]:
 def _means(values: NDArray[Any], edges: NDArray[np.intp], size: int) -> Floats:
     """Means over groups of bands and over ``size`` neighbouring samples: (groups, lines, columns)."""
     starts = np.arange(0, values.shape[2], size, dtype=np.intp)
-    groups = (values[low:high].sum(axis=0, dtype=np.uint32) for low, high in pairwise(edges))
+    sums = np.float64 if values.dtype.kind == "f" else np.uint32
+    groups = (values[low:high].sum(axis=0, dtype=sums) for low, high in pairwise(edges))
     summed = np.stack([np.add.reduceat(group, starts, axis=1) for group in groups])
     pixels = np.diff(edges)[:, None, None] * np.diff(np.append(starts, values.shape[2]))
     return (summed / pixels).astype(np.float32)

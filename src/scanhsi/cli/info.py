@@ -76,8 +76,8 @@ def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | Non
             "cube": summary.path,
             "state": Text(state if summary.complete else f"incomplete: {state}", style="green" if whole else "yellow"),
             "simulated": Text("SIMULATED, not measured", style="bold yellow") if summary.simulated else None,
-            "shape": f"{bands} bands x {lines} lines x {samples} samples, {summary.dtype} "
-            f"({summary.significant_bits} bits), {format_quantity(summary.size_bytes, 'B', digits=3)} on disk",
+            "shape": f"{bands} bands x {lines} lines x {samples} samples, {summary.dtype}"
+            f"{_bits(summary)}, {format_quantity(summary.size_bytes, 'B', digits=3)} on disk",
             "wavelength": None
             if summary.wavelength_nm is None
             else "{:.1f} to {:.1f} nm".format(*summary.wavelength_nm),
@@ -87,6 +87,10 @@ def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | Non
             "efficiency": None if efficiency is None else f"{efficiency:.1%}",
         }
     )
+
+
+def _bits(summary: CubeSummary) -> str:
+    return "" if summary.significant_bits is None else f" ({summary.significant_bits} bits)"
 
 
 def _shown_plan(plan: dict[str, Any]) -> dict[str, Any]:
