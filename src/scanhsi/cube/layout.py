@@ -36,7 +36,9 @@ _SHARD_BYTES: Final = 48_000_000
 _MAX_SHARD_LINES: Final = 64
 _MIN_SHARD_LINES: Final = 16
 _CHUNK_SAMPLES: Final = 448
-_RESERVED: Final = frozenset({"Conventions", "scanhsi_format", "complete", "missing", "clock_offset_ns", "acquisition"})
+_RESERVED: Final = frozenset(
+    {"Conventions", "ome", "scanhsi_format", "complete", "missing", "clock_offset_ns", "acquisition"}
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

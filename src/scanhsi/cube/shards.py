@@ -25,6 +25,7 @@ from zarr.codecs import BloscCodec
 from zarr.errors import ZarrUserWarning
 from zarr.storage import MemoryStore
 
+from scanhsi.cube.conventions import root_attributes
 from scanhsi.cube.durable import DurableStore, sync_directory, write_durably
 from scanhsi.cube.layout import (
     DIMENSIONS,
@@ -106,7 +107,7 @@ class CubeFiles:
         files: dict[str, Buffer] = {}
         store = MemoryStore(files)
         spec, layout = self._spec, self._layout
-        head = {"Conventions": "CF-1.11", "scanhsi_format": FORMAT, **spec.attributes, **attributes}
+        head = {**root_attributes(), "scanhsi_format": FORMAT, **spec.attributes, **attributes}
         group = zarr.create_group(store, attributes={**head, "complete": False, "missing": {}})
         if spec.wavelength_nm is not None:
             group.create_array(
