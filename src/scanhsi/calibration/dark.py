@@ -1,0 +1,237 @@
+"""Dark signal: what a pixel reads without light, as a line over the exposure time (Eq. 15 of the paper).
+
+``h = a T_exp + b``: `a` is dark current, `b` offset. Fitted per pixel by weighted least squares from running
+moments, so that memory does not grow with the number of frames. A handful of frames tells the noise of one pixel only roughly, and
+weights that are wrong make standard errors that are wrong: so the noise is taken as one law of all pixels, read noise plus shot
+noise of the dark current, and a pixel's own noise only where it clearly exceeds that law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from scanhsi.calibration.result import Provenance, Stored
+from scanhsi.devices.errors import CalibrationError
+
+Floats = NDArray[np.float64]
+
+_PIXEL = ("band", "sample")
+
+_QUANTISATION = 1 / 12
+"""Variance of rounding to whole counts, counts^2: a camera without noise has at least this."""
+
+_NOISIER = 1e-5
+"""So unlikely must the variance of a pixel's frames be under the law of all pixels before its own is believed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DarkModel:
+    """Dark counts of every pixel at any exposure within the range measured.
+
+    Attributes:
+        rate: Dark current, (band, sample).
+        offset: Counts at no exposure, (band, sample).
+        rate_sigma, offset_sigma: Standard errors.
+        covariance: Of rate and offset.
+        noise: Temporal noise at the shortest exposure, (band, sample).
+        hot: Pixels whose dark current stands out, (band, sample) bool.
+        nonlinear: Pixels that are no line over the exposure, (band, sample) bool.
+        shortest_s, longest_s: Exposures measured; the model says nothing beyond the longest.
+        frames: Frames used in all.
+        provenance: Where it comes from.
+    """
+
+    kind: ClassVar[str] = "dark"
+
+    rate: Annotated[Floats, Stored("counts s-1", "dark current", _PIXEL)]
+    offset: Annotated[Floats, Stored("counts", "dark offset", _PIXEL)]
+    rate_sigma: Annotated[Floats, Stored("counts s-1", "standard error of the dark current", _PIXEL)]
+    offset_sigma: Annotated[Floats, Stored("counts", "standard error of the offset", _PIXEL)]
+    covariance: Annotated[Floats, Stored("counts2 s-1", "covariance of dark current and offset", _PIXEL)]
+    noise: Annotated[Floats, Stored("counts", "temporal noise at the shortest exposure", _PIXEL)]
+    hot: Annotated[NDArray[np.bool_], Stored("1", "dark current stands out", _PIXEL)]
+    nonlinear: Annotated[NDArray[np.bool_], Stored("1", "not a line over the exposure", _PIXEL)]
+    shortest_s: Annotated[float, Stored("s", "shortest exposure measured")]
+    longest_s: Annotated[float, Stored("s", "longest exposure measured")]
+    frames: Annotated[int, Stored("1", "frames used")]
+    provenance: Provenance
+
+    def at(self, exposure_s: float) -> Floats:
+        """Dark counts at an exposure, (band, sample).
+
+        Raises:
+            CalibrationError: Longer than any exposure measured: an extrapolation would look like knowledge.
+        """
+        if not 0 <= exposure_s <= self.longest_s * 1.001:
+            raise CalibrationError(
+                f"the dark model was measured up to {self.longest_s:g} s; it says nothing of {exposure_s:g} s.",
+                hint=f"measure darks up to {exposure_s:g} s",
+            )
+        return self.rate * exposure_s + self.offset
+
+    def sigma_at(self, exposure_s: float) -> Floats:
+        """Standard error of `at`, (band, sample)."""
+        variance = (self.rate_sigma * exposure_s) ** 2 + self.offset_sigma**2 + 2 * exposure_s * self.covariance
+        return np.sqrt(np.maximum(variance, 0))
+
+
+@dataclass(slots=True, eq=False)
+class _Group:
+    """Running moments of the frames of one exposure (Welford), so that nothing grows with their number."""
+
+    count: int
+    mean: Floats
+    squares: Floats
+
+    def add(self, frame: NDArray[Any]) -> None:
+        self.count += 1
+        delta = frame - self.mean
+        self.mean += delta / self.count
+        self.squares += delta * (frame - self.mean)
+
+
+class DarkFit:
+    """Takes dark frames one by one, in any order of exposures, and fits when asked.
+
+    Memory is two frames of float64 for each exposure, whatever the number of frames.
+    """
+
+    def __init__(self) -> None:
+        self._groups: dict[float, _Group] = {}
+        self._saturated: NDArray[np.bool_] | None = None
+
+    def add(self, exposure_s: float, frame: NDArray[Any], *, saturation: float | None = None) -> None:
+        """Take one dark frame, (band, sample) counts.
+
+        Raises:
+            CalibrationError: Of another shape than those before, or not finite.
+        """
+        if frame.ndim != 2 or not frame.size:
+            raise CalibrationError(f"a dark frame has two axes, band and sample, not the shape {frame.shape}.")
+        if not exposure_s > 0:
+            raise CalibrationError(f"an exposure of {exposure_s:g} s is none.")
+        if frame.dtype.kind == "f" and not np.isfinite(frame).all():
+            raise CalibrationError("a dark frame holds values that are no numbers.")
+        if self._saturated is None:
+            self._saturated = np.zeros(frame.shape, bool)
+        if frame.shape != self._saturated.shape:
+            raise CalibrationError(f"dark frames of {frame.shape} and {self._saturated.shape} do not go together.")
+        if saturation is not None:
+            self._saturated |= frame >= saturation
+        group = self._groups.get(exposure_s)
+        if group is None:
+            group = self._groups[exposure_s] = _Group(0, np.zeros(frame.shape), np.zeros(frame.shape))
+        group.add(frame.astype(np.float64))
+
+    def fit(
+        self, provenance: Provenance | None = None, *, hot_sigma: float = 6.0, linear_sigma: float = 5.0
+    ) -> DarkModel:
+        """Fit the model.
+
+        Args:
+            provenance: Where the frames come from.
+            hot_sigma: Pixels whose dark current lies so many robust standard deviations above the median are hot, and those
+                that saturated.
+            linear_sigma: A pixel is nonlinear when the chi-square of its residuals is that unlikely, in standard deviations of a
+                normal distribution.
+
+        Raises:
+            CalibrationError: Fewer than two exposures, or fewer than two frames of each.
+        """
+        exposures = np.array(sorted(self._groups))
+        if len(exposures) < 2:
+            raise CalibrationError(
+                f"dark frames at {len(exposures)} exposure{'s' * (len(exposures) != 1)} are no line.",
+                hint="take them at two exposures or more, better at eight from 10 ms to the longest you use",
+            )
+        if few := [f"{exposure:g} s" for exposure in exposures if self._groups[exposure].count < 2]:
+            raise CalibrationError(f"one frame shows no noise: more than one is needed at {', '.join(few)}.")
+        assert self._saturated is not None
+        return _fit(self._groups, exposures, self._saturated, provenance or Provenance(), hot_sigma, linear_sigma)
+
+
+def fit_dark(
+    frames: Iterable[tuple[float, NDArray[Any]]],
+    provenance: Provenance | None = None,
+    *,
+    saturation: float | None = None,
+) -> DarkModel:
+    """Fit a `DarkModel` to pairs of exposure in s and frame, (band, sample) counts; see `DarkFit`."""
+    fit = DarkFit()
+    for exposure_s, frame in frames:
+        fit.add(exposure_s, frame, saturation=saturation)
+    return fit.fit(provenance)
+
+
+def _fit(
+    groups: dict[float, _Group],
+    exposures: Floats,
+    saturated: NDArray[np.bool_],
+    provenance: Provenance,
+    hot_sigma: float,
+    linear_sigma: float,
+) -> DarkModel:
+    means = np.stack([groups[exposure].mean for exposure in exposures])
+    counts = np.array([groups[exposure].count for exposure in exposures], float)
+    variances = _variances(groups, exposures, means)
+    weights = counts[:, None, None] / variances
+    time = exposures[:, None, None]
+    total, moment, second = (np.sum(weights * time**power, axis=0) for power in range(3))
+    level, slope = np.sum(weights * means, axis=0), np.sum(weights * time * means, axis=0)
+    determinant = total * second - moment**2
+    rate = (total * slope - moment * level) / determinant
+    offset = (second * level - moment * slope) / determinant
+    residuals = np.sum(weights * (means - rate * time - offset) ** 2, axis=0)
+    return DarkModel(
+        rate=rate,
+        offset=offset,
+        rate_sigma=np.sqrt(total / determinant),
+        offset_sigma=np.sqrt(second / determinant),
+        covariance=-moment / determinant,
+        noise=np.sqrt(variances[0]),
+        hot=_stands_out(rate, hot_sigma) | saturated,
+        nonlinear=_unlikely(residuals, len(exposures) - 2, linear_sigma),
+        shortest_s=float(exposures[0]),
+        longest_s=float(exposures[-1]),
+        frames=int(counts.sum()),
+        provenance=provenance,
+    )
+
+
+def _variances(groups: dict[float, _Group], exposures: Floats, means: Floats) -> Floats:
+    """Variance of a frame, (exposure, band, sample) counts^2: the law of all pixels, or more where a pixel shows more."""
+    own = np.stack([groups[exposure].squares / (groups[exposure].count - 1) for exposure in exposures])
+    time = exposures - exposures.mean()
+    rate = np.maximum(np.tensordot(time, means, 1) / np.sum(time**2), 0)  # unweighted: good enough to weigh with
+    dark = exposures[:, None, None] * rate
+    usual = rate <= np.quantile(rate, 0.99)
+    read, shot = _line(dark[:, usual], own[:, usual])
+    law = max(read, _QUANTISATION) + max(shot, 0.0) * dark
+    degrees = np.array([groups[exposure].count - 1 for exposure in exposures], float)[:, None, None]
+    return np.where(own * degrees > stats.chi2.isf(_NOISIER, degrees) * law, own, law)
+
+
+def _line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Level at 0 and slope of y over x; a slope of 0 where x does not vary."""
+    deviation = x - x.mean()
+    spread = float(np.sum(deviation**2))
+    slope = float(np.sum(deviation * y)) / spread if spread else 0.0
+    return float(y.mean()) - slope * float(x.mean()), slope
+
+
+def _unlikely(chi_square: Floats, degrees: int, sigma: float) -> NDArray[np.bool_]:
+    if degrees < 1:
+        return np.zeros(chi_square.shape, bool)
+    return chi_square > stats.chi2.isf(stats.norm.sf(sigma), degrees)
+
+
+def _stands_out(values: Floats, sigma: float) -> NDArray[np.bool_]:
+    median = np.median(values)
+    spread = 1.4826 * np.median(np.abs(values - median))
+    return values > median + sigma * spread
