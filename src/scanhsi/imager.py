@@ -6,6 +6,7 @@ import asyncio
 import platform
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,18 @@ import numpy as np
 from pydantic import ValidationError
 from structlog.contextvars import bind_contextvars, unbind_contextvars
 
+from scanhsi import clock
+from scanhsi.clock import Granted, RealTime
 from scanhsi.cube import CubeSpec, CubeWriter, DiscardSink, LineSink
+from scanhsi.cube.slow import SlowSink
 from scanhsi.devices import Actuator, Camera, CameraSettings
 from scanhsi.devices.errors import ConfigError, DeviceBusy
 from scanhsi.engine import Course, Mode, Progress, ScanPlan, ScanReport, run_scan
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
+from scanhsi.instrument.timing import storing_of
+
+_NO_OPTIONS = RealTime()
 
 
 def default_plan(config: InstrumentConfig, **overrides: Any) -> ScanPlan:
@@ -36,6 +43,8 @@ def default_plan(config: InstrumentConfig, **overrides: Any) -> ScanPlan:
         written[key] = value
     if written.get("mode") != Mode.CONTINUOUS and not {"period", "period_s"} & overrides.keys():
         written.pop("period_s", None)  # the file's period is for its continuous scans
+    if written.get("mode", Mode.STEPPED) != Mode.STEPPED and "look_ahead" not in overrides:
+        written.pop("look_ahead", None)
     try:
         return ScanPlan.model_validate(written)
     except ValidationError as error:
@@ -43,12 +52,16 @@ def default_plan(config: InstrumentConfig, **overrides: Any) -> ScanPlan:
 
 
 @asynccontextmanager
-async def open_instrument(source: str | Path | InstrumentConfig, *, seed: int | None = None) -> AsyncGenerator[Imager]:
+async def open_instrument(
+    source: str | Path | InstrumentConfig, *, seed: int | None = None, delays: str | Path | None = None
+) -> AsyncGenerator[Imager]:
     """Connect the devices of an instrument; close them again on leaving.
 
     Args:
         source: Name of a shipped instrument (``"sensors2019"``), path of an instrument file, or a configuration.
         seed: For simulated devices: draw delays and noise from this seed instead of the one in the file.
+        delays: For simulated devices: a delay profile to spend instead of the one in the file, by path (``*.json``) or name. A
+            recorded one is replayed, see `scanhsi.timing.replay`.
 
     Raises:
         ConfigError: The instrument file is wrong; lists every problem.
@@ -57,6 +70,8 @@ async def open_instrument(source: str | Path | InstrumentConfig, *, seed: int | 
     config = source if isinstance(source, InstrumentConfig) else load_instrument(source)
     if seed is not None:
         config = config.with_seed(seed)
+    if delays is not None:
+        config = config.with_delays(str(delays))
     run = uuid4().hex[:12]
     bind_contextvars(run=run)
     try:
@@ -114,7 +129,7 @@ class Imager:
         )
         settings = self.instrument.check(asked, (int(steps[0]), int(steps[-1])))
         angles = np.array([geometry.angle_rad(int(step)) for step in steps])
-        return Course(plan.mode, settings, steps, angles, plan.period_s)
+        return Course(plan.mode, settings, steps, angles, plan.period_s, plan.look_ahead)
 
     async def scan(
         self,
@@ -123,6 +138,7 @@ class Imager:
         *,
         on_progress: Callable[[Progress], None] | None = None,
         stop: asyncio.Event | None = None,
+        real_time: RealTime = _NO_OPTIONS,
     ) -> ScanReport:
         """Scan.
 
@@ -131,6 +147,7 @@ class Imager:
             output: Path of the cube to create, which must not exist; None discards the lines.
             on_progress: Called at most four times a second, in the event loop.
             stop: Set it to finish the line under way and close the cube.
+            real_time: Options against lateness, for the time of the scan. What was granted is in the report and in the cube.
 
         Raises:
             OutOfRange, UnsupportedFeature, CubeExists: Refused; nothing moved, nothing was overwritten.
@@ -140,17 +157,32 @@ class Imager:
         if self._scanning:
             raise DeviceBusy("a scan is under way.", device=self.config.name, operation="scan")
         course = self.course(plan)
-        sink = DiscardSink() if output is None else self._writer(course, plan, Path(output))
+        limits = self.instrument.actuator_info.limits
         self._scanning = True
         try:
-            limits = self.instrument.actuator_info.limits
-            return await run_scan(
-                course, self.camera, self.actuator, sink, limits=limits, on_progress=on_progress, stop=stop
-            )
+            with clock.real_time(real_time) as granted:
+                sink = DiscardSink() if output is None else self._writer(course, plan, Path(output), granted)
+                report = await run_scan(
+                    course,
+                    self.camera,
+                    self.actuator,
+                    self._slowed(sink, plan),
+                    limits=limits,
+                    on_progress=on_progress,
+                    stop=stop,
+                )
+                return replace(report, real_time=granted)
         finally:
             self._scanning = False
 
-    def _writer(self, course: Course, plan: ScanPlan, output: Path) -> LineSink:
+    def _slowed(self, sink: LineSink, plan: ScanPlan) -> LineSink:
+        """The sink, taking the time that the delays of a simulated instrument say."""
+        storing = storing_of(self.config)
+        if storing is None:
+            return sink
+        return SlowSink(sink, lambda line: storing.delay_ns("T_store", line, pixel_format=plan.pixel_format))
+
+    def _writer(self, course: Course, plan: ScanPlan, output: Path, granted: Granted) -> LineSink:
         settings, roi = course.settings, course.settings.roi
         assert roi is not None, "Instrument.check fills the ROI in"
         spectral = self.config.spectral
@@ -166,6 +198,7 @@ class Imager:
                 "plan": plan.model_dump(mode="json"),
                 "instrument": self.config.model_dump(mode="json"),
                 "devices": self.instrument.describe(),
+                "real_time": asdict(granted),
                 "versions": {"scanhsi": version("scanhsi"), "python": platform.python_version()},
             },
             wavelength_nm=spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None,

@@ -186,3 +186,22 @@ def test_with_log_json_stderr_holds_nothing_but_json_lines(tmp_path: Path) -> No
         assert {"connected"} < {event["event"] for event in events}
     assert events[-1]["level"] == "error"
     assert "allowed is" in events[-1]["message"]
+
+
+def test_real_time_options_are_told_and_kept_in_the_cube(cli: Cli, mini: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.zarr"
+    told = cli("scan", mini, "-o", out, "--real-time", "gc,switch", "--json").object["real_time"]
+    assert told["loop"] == "precise"
+    assert told["asked"] == ["gc", "switch"] == list(told["granted"])
+    assert told["refused"] == {}
+    assert cli("info", out, "--json").object["attributes"]["real_time"] == told
+    assert "real time" in cli("scan", mini, "--discard", "--real-time", "gc").out
+    unasked = cli("scan", mini, "--discard", "--virtual", "--json").object["real_time"]
+    assert unasked == {"loop": "virtual", "asked": [], "granted": {}, "refused": {}}
+
+
+@pytest.mark.parametrize(("words", "why"), [(("gc", "--virtual"), "never late"), (("fast",), "gc, fifo, switch")])
+def test_wrong_real_time_options_are_refused(cli: Cli, mini: Path, words: tuple[str, ...], why: str) -> None:
+    told = cli("scan", mini, "--discard", "--real-time", *words, "--json")
+    assert told.code == 2
+    assert why in told.object["error"]["message"]

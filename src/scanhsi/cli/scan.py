@@ -12,8 +12,10 @@ import typer
 
 from scanhsi.cli.codes import ExitCode
 from scanhsi.cli.output import messages, results, write_json
+from scanhsi.cli.real_time import RealTimeOption, parsed_real_time
 
 if TYPE_CHECKING:
+    from scanhsi.clock import RealTime
     from scanhsi.engine import ScanPlan, ScanReport
     from scanhsi.instrument import InstrumentConfig
 
@@ -51,7 +53,15 @@ def scan(
     virtual: Annotated[
         bool, typer.Option("--virtual", help="Run in virtual time: exact, and as fast as it can be computed.")
     ] = False,
+    real_time: RealTimeOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the simulated devices.")] = None,
+    delays: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PROFILE.json",
+            help="Delay profile for simulated devices to spend; one from `scanhsi delays record` is replayed.",
+        ),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -76,9 +86,12 @@ def scan(
 
     if (output is None) != discard:
         raise typer.BadParameter("say where the cube goes with -o OUT, or --discard it; one of the two.")
+    options = parsed_real_time(real_time, virtual=virtual)
     config = load_instrument(instrument, parsed_settings(settings or ()))
     if seed is not None:
         config = config.with_seed(seed)
+    if delays is not None:
+        config = config.with_delays(delays)
     if virtual:
         _refuse_real_devices(config)
     given = {
@@ -92,11 +105,11 @@ def scan(
         "period": period,
     }
     overrides = {name: value for name, value in given.items() if value is not None}
-    report = clock.run(_scan(config, default_plan(config, **overrides), output), virtual=virtual)
+    report = clock.run(_scan(config, default_plan(config, **overrides), output, options), virtual=virtual)
     _finish(report, as_json=json)
 
 
-async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None) -> ScanReport:
+async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None, options: RealTime) -> ScanReport:
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
     from scanhsi.imager import open_instrument
@@ -108,7 +121,7 @@ async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None) -
             with shown(console) as show:
                 interrupt.scanning = True
                 try:
-                    return await imager.scan(plan, output, on_progress=show, stop=interrupt.stop)
+                    return await imager.scan(plan, output, on_progress=show, stop=interrupt.stop, real_time=options)
                 except asyncio.CancelledError:
                     if output is not None:
                         tell(f"what was stored before is safe: scanhsi info {output}")

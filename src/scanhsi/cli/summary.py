@@ -14,6 +14,7 @@ from rich.text import Text
 from scanhsi.instrument.quantities import format_quantity
 
 if TYPE_CHECKING:
+    from scanhsi.clock import Granted
     from scanhsi.engine import ScanReport
     from scanhsi.timing.observed import StageTime
 
@@ -38,6 +39,7 @@ def scan_summary(report: ScanReport) -> RenderableType:
                 if taken
                 else None,
                 "bound": bound(report.bound_s, report.regret),
+                "real time": _real_time(report.real_time),
             }
         ),
         stage_table(report.stages),
@@ -84,6 +86,11 @@ def bound(bound_s: float | None, regret: float | None) -> str | None:
 def duration(seconds: float) -> str:
     """A time to four digits, in the unit that fits."""
     return format_quantity(seconds, "s", digits=4) if math.isfinite(seconds) else "unknown"
+
+
+def _real_time(told: Granted | None) -> Text | None:
+    """Nothing where nothing was asked for."""
+    return Text(str(told), style="yellow" if told.refused else "") if told and told.asked else None
 
 
 def _result(report: ScanReport) -> Text:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from scanhsi.clock import Granted
 from scanhsi.timing.observed import StageTime
 
 
@@ -48,12 +49,16 @@ class ScanReport:
         period_s: Mean line period, from the exposure starts.
         lines_per_second: 1 / period.
         efficiency: T_exp / T_line (Eq. 3).
-        bound_s: Shortest period that the same delays allow in this mode; None where they are not known.
+        bound_s: Shortest period that the same delays allow in this mode; None where they are not known. With look-ahead: for an
+            engine that knows beforehand when each motion will begin.
         regret: period / bound; None without one.
         stages: Stage name -> its time per line.
         output: Path of the cube; None when discarded.
         simulated: Whether any device was simulated.
         stopped_early: The scan was asked to stop before its last line.
+        look_ahead: Accepted probability that a line is smeared; None without look-ahead.
+        smeared: Lines flagged as smeared, because the mirror began to move before their exposure had ended.
+        real_time: The event loop, and which real-time options were asked for and granted; None where the engine was run by itself.
     """
 
     mode: str
@@ -70,8 +75,11 @@ class ScanReport:
     output: str | None
     simulated: bool
     stopped_early: bool = False
+    look_ahead: float | None = None
+    smeared: int = 0
     missing_reasons: dict[int, str] = field(default_factory=dict[int, str])
     stages: dict[str, StageTime] = field(default_factory=dict[str, StageTime])
+    real_time: Granted | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain JSON types."""
