@@ -1,6 +1,7 @@
 """``scanhsi bench``."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -81,11 +82,24 @@ def test_help_has_an_example(cli: Cli) -> None:
 
 
 def test_engine(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "Effort", lambda lines: Effort(lines, repeats=1, wake_ups=3, timers=3, period_s=0.001))
+    little = Effort(lines=10, rounds=1, wake_ups=3, timers=3, period_s=0.001, scan_lines=3)
+    monkeypatch.setattr(engine, "Effort", lambda lines, rounds: replace(little, lines=lines, rounds=rounds))
     output = tmp_path / "engine.jsonl"
-    told = cli("bench", "engine", "--lines", "10", "-o", output, "--json").object
-    assert [loop["loop"] for loop in told["loops"]] == ["scanhsi", "asyncio"]
+    words = ("--lines", "10", "--rounds", "1", "--hogs", "0", "--real-time", "gc")
+    told = cli("bench", "engine", *words, "-o", output, "--json").object
+    assert [loop["loop"] for loop in told["loops"]] == ["precise", "precise", "asyncio", "asyncio"]
+    assert [loop["real_time"]["asked"] for loop in told["loops"]] == [[], ["gc"]] * 2
+    assert min(loop["regret"]["runs"][0] for loop in told["loops"]) >= 1
     assert json.loads(output.read_text()) == told
-    shown = cli("bench", "engine", "--lines", "10").out
-    assert "CPU a line, stepped" in shown
-    assert "timer late by" in shown
+    shown = cli("bench", "engine", *words).out
+    for what in ("CPU a line, stepped", "timer late by", "precise +", "excess a line", "objects frozen"):
+        assert what in shown
+
+
+def test_real_time_options_are_in_the_record(cli: Cli, mini: Path, tmp_path: Path) -> None:
+    words = ("bench", "lines", mini, "-o", tmp_path, "--exposures", "10 ms", "--lines", "3", "--formats", "Mono8")
+    told = cli(*words, "--modes", "stepped", "--scenarios", "acquire", "--real-time", "gc", "--json").object
+    assert list(told["real_time"]["granted"]) == ["gc"]
+    session = json.loads((tmp_path / "observations.jsonl").read_text().splitlines()[0])
+    assert session["real_time"] == told["real_time"]
+    assert cli(*words, "--virtual", "--real-time", "gc").code == 2

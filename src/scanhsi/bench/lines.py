@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 from scanhsi.bench.observations import OBSERVATIONS, Journal, Observation, Session, observation
 from scanhsi.bench.provenance import provenance
 from scanhsi.bench.scenarios import Scenario, staged
-from scanhsi.clock import is_virtual, run_blocking
+from scanhsi.clock import RealTime, is_virtual, real_time, run_blocking
 from scanhsi.cube.reader import read_records
 from scanhsi.cube.records import LineRecords
 from scanhsi.cube.sink import DiscardSink
@@ -42,6 +43,7 @@ class LineSweep:
         step: Motor steps from line to line.
         seed: Of simulated devices. Each exposure draws from a seed of its own, so that exposures are independent; modes, formats
             and scenarios share it, so that their differences are not chance.
+        options: Against lateness, for the time of the sweep; what was granted is in the facts of the session.
     """
 
     lines: int = 50
@@ -51,6 +53,7 @@ class LineSweep:
     scenarios: Sequence[Scenario] = tuple(Scenario)
     step: int = 1
     seed: int = 1
+    options: RealTime = field(default_factory=RealTime)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +81,17 @@ async def measure_lines(
     Raises:
         ConfigError, DeviceError, CubeError, ScanFailed: As a scan; what was measured before is in the file.
     """
+    with real_time(sweep.options) as granted:
+        return await _measure(config, sweep, folder, {"command": command, "real_time": asdict(granted)}, tell)
+
+
+async def _measure(
+    config: InstrumentConfig, sweep: LineSweep, folder: Path, asked: dict[str, Any], tell: Tell | None
+) -> Session:
     async with open_instrument(config) as imager:
         points = _points(imager, sweep)
         facts = {
-            "command": command,
+            **asked,
             "virtual_time": is_virtual(),
             "simulated": imager.instrument.simulated,
             "devices": imager.instrument.describe(),
@@ -145,7 +155,7 @@ def _points(imager: Imager, sweep: LineSweep) -> list[_Point]:
 async def _scan(imager: Imager, point: _Point, scratch: Path) -> LineRecords:
     """The records of one scan: of a cube where lines are really stored, else of lines let go."""
     if is_virtual() or point.scenario is Scenario.ACQUIRE:
-        sink = _Watched()
+        sink = Watched()
         await run_scan(imager.course(point.plan), imager.camera, imager.actuator, sink)
         return sink.records
     try:
@@ -166,7 +176,7 @@ def _seen(records: LineRecords, point: _Point) -> Observation:
     )
 
 
-class _Watched(DiscardSink):
+class Watched(DiscardSink):
     """Lets lines go and keeps what is known of them."""
 
     def __init__(self) -> None:
@@ -174,5 +184,6 @@ class _Watched(DiscardSink):
         self.records = LineRecords(0)
 
     async def open(self, records: LineRecords) -> None:
+        """Keep the records."""
         self.records = records
         await super().open(records)

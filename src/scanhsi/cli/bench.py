@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -13,8 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from scanhsi.cli.bench_tables import curve_table, engine_table, lost_lines
+from scanhsi.cli.bench_tables import curve_table, engine_tables, lost_lines
 from scanhsi.cli.output import messages, results, write_json
+from scanhsi.cli.real_time import RealTimeOption, parsed_real_time
 
 if TYPE_CHECKING:
     from scanhsi.bench.curves import Curve
@@ -54,6 +56,7 @@ def lines(
     count: Annotated[int, typer.Option("--lines", metavar="N", min=3, help="Lines of each scan.")] = 50,
     step: Annotated[int, typer.Option(metavar="STEPS", help="Motor steps between lines.")] = 1,
     virtual: Annotated[bool, typer.Option("--virtual", help="Run in virtual time.")] = False,
+    real_time: RealTimeOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of simulated devices; each exposure adds its number.")] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
@@ -78,6 +81,7 @@ def lines(
         scenarios=_words(Scenario, scenarios, "--scenarios") or tuple(Scenario),
         step=step,
         seed=seed,
+        options=parsed_real_time(real_time, virtual=virtual),
     )
     config = load_instrument(instrument)
     if virtual and not config.virtual_time:
@@ -94,6 +98,7 @@ def lines(
                 "output": str(output),
                 "figures": [str(path) for path in figures],
                 "simulated": session.facts["simulated"],
+                "real_time": session.facts["real_time"],
                 "scans": len(session.observations),
                 "took_s": time.monotonic() - began,
                 "curves": [_described(curve) for curve in fitted],
@@ -131,27 +136,39 @@ def engine(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="JSONL", help="Append the result to this file.")
     ] = None,
-    hogs: Annotated[int, typer.Option(metavar="N", min=0, help="Keep N processes busy meanwhile.")] = 0,
+    hogs: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=0, help="Measure beside N busy processes, too; default: as many as processors."),
+    ] = None,
+    real_time: RealTimeOption = None,
     count: Annotated[int, typer.Option("--lines", metavar="N", min=10, help="Lines of each scan.")] = 3000,
+    rounds: Annotated[int, typer.Option(metavar="N", min=1, help="In which loops and loads take turns.")] = 5,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Measure the engine with devices that take no time: CPU a line, wake-up latency, timer jitter; our loop and asyncio's.
+    """Measure the engine on our event loop and on asyncio's: CPU time a line, wake-ups, timers, and regret in real time.
 
-    [bold]Example[/]: scanhsi bench engine --hogs 2
+    With --real-time everything is measured without and with the options.
+
+    [bold]Example[/]: scanhsi bench engine --hogs 2 --real-time all
     """
     from scanhsi.bench.engine import Effort, measure_engine
     from scanhsi.bench.observations import append_json
     from scanhsi.bench.provenance import provenance
 
-    facts = provenance()
-    reports = measure_engine(Effort(lines=count), hogs=hogs)
-    result = {"record": "engine", "schema": 1, **facts, "loops": [asdict(report) for report in reports]}
+    options, facts = parsed_real_time(real_time), provenance()
+    effort = Effort(lines=count, rounds=rounds)
+    with _quiet("scanhsi.instrument"):
+        reports = measure_engine(
+            effort, hogs=os.cpu_count() or 1 if hogs is None else hogs, options=options, tell=messages().print
+        )
+    result = {"record": "engine", "schema": 2, **facts, "loops": [asdict(report) for report in reports]}
     if output is not None:
         append_json(output, result)
     if json:
         write_json(result)
     else:
-        results().print(engine_table(reports))
+        for table in engine_tables(reports):
+            results().print(table)
 
 
 def _words(kind: type[_Word], text: str | None, option: str) -> list[_Word] | None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from rich import box
+from rich.console import RenderableType
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from scanhsi.bench.curves import Curve
@@ -40,11 +43,17 @@ def lost_lines(fitted: list[Curve]) -> list[str]:
     ]
 
 
-def engine_table(reports: list[LoopReport]) -> Table:
-    """CPU time and latencies, loop beside loop."""
-    hogs = reports[0].hogs
-    caption = f"with {hogs} busy processes beside it" if hogs else "with nothing else started beside it"
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption=caption)
+def engine_tables(reports: list[LoopReport]) -> Iterator[RenderableType]:
+    """CPU time and latencies of each load, loop beside loop; then regret."""
+    for hogs in dict.fromkeys(report.hogs for report in reports):
+        yield _latencies([report for report in reports if report.hogs == hogs])
+    yield _regrets(reports)
+    for told in dict.fromkeys(str(report.real_time) for report in reports if report.real_time.asked):
+        yield Text(f"+ with {told}", style="dim")
+
+
+def _latencies(reports: list[LoopReport]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=_beside(reports[0].hogs), title_justify="left")
     for column in ("us", "loop"):
         table.add_column(column, no_wrap=True)
     for column in ("least", "p50", "p95", "p99", "most"):
@@ -52,13 +61,37 @@ def engine_table(reports: list[LoopReport]) -> Table:
     for mode in reports[0].cpu:
         for report in reports:
             cost = report.cpu[mode]
-            table.add_row(f"CPU a line, {mode}", report.loop, f"{cost.min_us:.1f}", f"{cost.median_us:.1f}")
+            table.add_row(f"CPU a line, {mode}", _loop(report), f"{cost.min_us:.1f}", f"{cost.median_us:.1f}")
     for name, times in (("wake-up", _wake_up), ("timer late by", _jitter)):
         for report in reports:
             told = times(report)
             numbers = (told.p50_us, told.p95_us, told.p99_us, told.max_us)
-            table.add_row(name, report.loop, "", *(f"{number:.0f}" for number in numbers))
+            table.add_row(name, _loop(report), "", *(f"{number:.0f}" for number in numbers))
     return table
+
+
+def _regrets(reports: list[LoopReport]) -> Table:
+    told = reports[0].regret
+    title = f"stepped scans of {told.lines} lines of {told.exposure_s * 1e3:g} ms, simulated devices"
+    caption = f"regret: line period / {told.bound_s * 1e3:.2f} ms, the shortest the drawn delays allow; {len(told.runs)} scans each"
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left", caption=caption)
+    for column in ("", "loop"):
+        table.add_column(column, no_wrap=True)
+    for column in ("least", "regret", "most", "excess a line"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for report in reports:
+        regret = report.regret
+        spread = (f"{value:.4f}" for value in (min(regret.runs), regret.median, max(regret.runs)))
+        table.add_row(_beside(report.hogs), _loop(report), *spread, f"{regret.excess_s * 1e3:.2f} ms")
+    return table
+
+
+def _loop(report: LoopReport) -> str:
+    return f"{report.loop} +" if report.real_time.asked else report.loop
+
+
+def _beside(hogs: int) -> str:
+    return f"{hogs} busy processes" if hogs else "undisturbed"
 
 
 def _wake_up(report: LoopReport) -> Percentiles:
