@@ -13,7 +13,8 @@ import math
 from scanhsi.clock import now_ns, sleep_until_ns
 from scanhsi.devices import ActuatorInfo, Motion, Range, Sighting, Sweep
 from scanhsi.devices.errors import DeviceBusy, DeviceError, MotionFailed
-from scanhsi.timing.delays import DelayStreams
+from scanhsi.timing.delays import Stream
+from scanhsi.timing.replay import delay_streams
 from scanhsi_sim.bench import Mirror, bench
 from scanhsi_sim.options import ActuatorOptions, find_profile
 
@@ -27,7 +28,7 @@ class SimulatedActuator:
         self._options = options
         self._bench = bench(options.bench)
         self._profile = find_profile(options.profile)
-        self._streams = DelayStreams(self._profile, options.seed)
+        self._streams = delay_streams(self._profile, options.seed, options.block_lines)
         self._name = f"actuator simulated {options.bench}"
         self._info: ActuatorInfo | None = None
         self._position = 0
@@ -95,9 +96,9 @@ class SimulatedActuator:
 
     async def _move(self, step: int, operation: str) -> Motion:
         commanded_ns, line = now_ns(), self._bench.exposures
-        moving_ns = commanded_ns + self._streams.delay_ns("T_rand", line)
+        moving_ns = commanded_ns + self._delay_ns("T_rand", line)
         steps = abs(step - self._position)
-        cost_ns = self._streams.delay_ns("T_act", line, steps=steps) + self._streams.delay_ns("settle", line)
+        cost_ns = self._delay_ns("T_act", line, steps) + self._delay_ns("settle", line)
         self._bench.mirror.move(moving_ns, moving_ns + cost_ns, step)
         await self._arrive(moving_ns + cost_ns, step, operation)
         return Motion(step, commanded_ns, now_ns())
@@ -141,7 +142,7 @@ class SimulatedActuator:
             raise DeviceError("this sweep is not prepared.", device=self._name, operation="sweep")
         self._prepared = None
         line = self._bench.exposures
-        begin_ns = now_ns() + self._streams.delay_ns("T_rand", line) + self._streams.delay_ns("T_act", line)
+        begin_ns = now_ns() + self._delay_ns("T_rand", line) + self._delay_ns("T_act", line)
         start, end = self._ends(sweep)
         end_ns = begin_ns + round(abs(end - start) / sweep.rate_steps_s * 1e9)
         self._bench.mirror.move(begin_ns, end_ns, end)
@@ -160,6 +161,9 @@ class SimulatedActuator:
         place, ahead = self._bench.mirror.position(at_ns), self._bench.mirror.position(at_ns + 1000)
         step = math.floor(place + 1e-3) if ahead >= place else math.ceil(place - 1e-3)
         return Sighting(step, at_ns, 0)
+
+    def _delay_ns(self, stream: Stream, line: int, steps: int = 0) -> int:
+        return self._streams.delay_ns(stream, line, pixel_format=self._bench.pixel_format, steps=steps)
 
     def _ends(self, sweep: Sweep) -> tuple[int, int]:
         """Steps at which the run-up begins and the run-out ends: a line is exposed behind its place, so the run-out is longer."""

@@ -71,6 +71,7 @@ class Bench:
         mirror: The mirror.
         exposures: Exposures since the camera was armed: the line that the next exposure is. Delays of a move are those of the
             line that it leads to, whatever the scan mode.
+        pixel_format: Of the camera as it was armed last: a recorded move is replayed with the frame that it was recorded with.
         trigger: The camera's trigger input, while it listens: takes the time of a pulse in ns.
     """
 
@@ -78,6 +79,7 @@ class Bench:
         self.name = name
         self.mirror = Mirror()
         self.exposures = 0
+        self.pixel_format: str | None = None
         self.trigger: Callable[[int], None] | None = None
         self._owners: weakref.WeakValueDictionary[str, object] = weakref.WeakValueDictionary()
 

@@ -25,10 +25,10 @@ from scanhsi.devices import (
     check_settings,
 )
 from scanhsi.devices.errors import DeviceBusy, DeviceError
-from scanhsi.timing.delays import DelayStreams
+from scanhsi.timing.replay import delay_streams
 from scanhsi_sim.acquisition import Acquisition, LineDelays, SimulatedFrame
 from scanhsi_sim.bench import bench
-from scanhsi_sim.options import CameraOptions, find_profile
+from scanhsi_sim.options import CameraOptions, find_profile, sends_whole
 from scanhsi_sim.scenes import Geometry, Image, Scene, load_scene
 
 T = TypeVar("T")
@@ -57,7 +57,7 @@ class SimulatedCamera:
         self._options = options
         self._bench = bench(options.bench)
         self._profile = find_profile(options.profile)
-        self._streams = DelayStreams(self._profile, options.seed)
+        self._streams = delay_streams(self._profile, options.seed, options.block_lines)
         self._name = f"camera simulated {options.bench}"
         self._info: CameraInfo | None = None
         self._epoch_ns = 0
@@ -139,6 +139,7 @@ class SimulatedCamera:
         )
         self._run, self._trigger, self._ahead = run, trigger, False
         self._bench.exposures = 0
+        self._bench.pixel_format = settings.pixel_format
         self._tasks = [asyncio.create_task(run.transfer(), name="simulated link")]
         if trigger is Trigger.LINE:
             self._bench.trigger = run.pulse
@@ -260,7 +261,7 @@ class SimulatedCamera:
     def _delays(self, settings: CameraSettings | None = None) -> LineDelays:
         settings = settings or self._configured("delays")
         sensor = Roi(0, 0, self._options.samples, self._options.bands)
-        sent = sensor if self._options.whole_transfer else settings.roi
+        sent = sensor if sends_whole(self._options, self._profile) else settings.roi
         assert sent is not None
         return LineDelays(self._streams, settings, sent, sensor)
 

@@ -12,10 +12,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from scanhsi.devices.errors import ConfigError
 from scanhsi.timing.delays import DelayProfile, load_profile
 from scanhsi.timing.devices import DeviceTiming
+from scanhsi.timing.replay import BLOCK_LINES
 from scanhsi_sim.scenes import SCENES
 
 
-@cache
 def find_profile(name: str) -> DelayProfile:
     """A delay profile that ships with the simulator (``"sensors2019"``, ``"ideal"``), or one by the path of its JSON file.
 
@@ -24,6 +24,11 @@ def find_profile(name: str) -> DelayProfile:
     """
     if name.endswith(".json"):
         return load_profile(Path(name))
+    return _shipped(name)
+
+
+@cache
+def _shipped(name: str) -> DelayProfile:
     folder = files("scanhsi_sim") / "profiles"
     known = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
     if name not in known:
@@ -63,6 +68,12 @@ class _Options(BaseModel):
         default="sensors2019", description="delays: sensors2019, ideal (none), or the path of a profile's JSON file"
     )
     seed: int = Field(default=0, ge=0, lt=2**63, description="of everything that is drawn at random")
+    block_lines: int = Field(
+        default=BLOCK_LINES,
+        ge=0,
+        description="a recorded profile is replayed in blocks of so many lines on average; 1 takes each line by itself, "
+        "0 draws each delay by itself",
+    )
 
 
 class CameraOptions(_Options):
@@ -95,17 +106,24 @@ class ActuatorOptions(_Options):
     home_s: float = Field(default=2.0, ge=0, description="how long homing takes")
 
 
+def sends_whole(options: CameraOptions, profile: DelayProfile) -> bool:
+    """Whether transfers take as long as the profile says, whatever region is kept; recorded ones do, they are of frames as sent."""
+    return options.whole_transfer or bool(profile.scans)
+
+
 def camera_timing(options: CameraOptions) -> DeviceTiming:
     """The delays that a simulated camera with these options draws."""
+    profile = find_profile(options.profile)
     return DeviceTiming(
-        find_profile(options.profile),
+        profile,
         options.seed,
         sensor=(options.bands, options.samples),
-        whole_transfer=options.whole_transfer,
+        whole_transfer=sends_whole(options, profile),
         overlap=options.overlap,
+        block_lines=options.block_lines,
     )
 
 
 def actuator_timing(options: ActuatorOptions) -> DeviceTiming:
     """The delays that a simulated actuator with these options draws."""
-    return DeviceTiming(find_profile(options.profile), options.seed)
+    return DeviceTiming(find_profile(options.profile), options.seed, block_lines=options.block_lines)

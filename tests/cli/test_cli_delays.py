@@ -57,7 +57,13 @@ def test_says_where_the_numbers_come_from(cli: Cli, device: Path, tmp_path: Path
     assert profile.mark.startswith("SIMULATED")
     assert "20 lines, stepped" in profile.source
     assert "simulated camera" in profile.source
-    assert "20 lines" in profile.streams["T_rx"].note
+    (scan,) = profile.scans
+    assert (scan.lines, scan.mode, scan.steps) == (20, "stepped", 1)
+    assert scan.run in profile.source
+    known = profile.streams["T_rx"].dependence
+    assert known is not None
+    assert (known.n, list(known.acf)) == (20, [1, 2, 5])
+    assert "20 lines, worth" in cli("delays", "show", output).out
 
 
 def test_shows_a_profile(cli: Cli, tmp_path: Path) -> None:

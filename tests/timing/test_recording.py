@@ -11,11 +11,11 @@ from scanhsi.timing.distributions import Constant, Quantile
 from scanhsi.timing.recording import Recording, dependence, measured_ns, profile_of, table
 
 
-def recording(*, steps: int = 2, stepped: bool = True, pixel_format: str = "Mono8", **stamps: list[int]) -> Recording:
+def recording(*, steps: int = 2, mode: str = "stepped", pixel_format: str = "Mono8", **stamps: list[int]) -> Recording:
     lines = len(next(iter(stamps.values())))
     columns = {stage: np.full(lines, NOT_STAMPED, np.int64) for stage in STAGES}
     columns |= {stage: np.array(values, np.int64) for stage, values in stamps.items()}
-    return Recording(columns, 100, pixel_format, steps, stepped)
+    return Recording(columns, 100, pixel_format, steps, mode)
 
 
 STEPPED = recording(
@@ -34,11 +34,11 @@ def test_each_stage_from_when_line_and_stage_were_ready() -> None:
     found = {stream: delays.tolist() for stream, delays in measured_ns(STEPPED).items()}
     assert found == {
         "T_trig": [3, 5, 1],
-        "T_ev": [7, 35],  # commanded 110 and 300, after nominal ends 103 and 265
-        "t1": [2],  # of the others the link was busy
+        "T_ev": [7, 35, -1],  # commanded 110 and 300, after nominal ends 103 and 265
+        "t1": [2, -1, -1],  # of the others the link was busy
         "T_rx": [295, 300, 20],
         "T_mcpy": [100, 30, 40],  # the last waited for the copier until 730
-        "T_act": [50, 70],
+        "T_act": [-1, 50, 70],
     }
 
 
@@ -50,7 +50,7 @@ def test_a_transfer_without_first_byte_counts_from_the_exposure_less_the_queue()
 
 def test_lines_without_stamps_are_left_out() -> None:
     found = measured_ns(recording(commanded=[0, 10, 20], moved=[4, NOT_STAMPED, 26]))
-    assert found["T_act"].tolist() == [4, 6]
+    assert found["T_act"].tolist() == [4, -1, 6]
 
 
 def heavy(lines: int) -> NDArray[np.int64]:
@@ -80,10 +80,10 @@ def test_dependence_of_independent_and_of_bursty_delays() -> None:
     for line in range(1, 4000):
         bursty[line] = 0.8 * bursty[line - 1] + noise[line]
     free, bound = (dependence([np.rint(1e6 * values).astype(np.int64)]) for values in (noise, bursty))
-    assert abs(free.acf1) < 0.05
-    assert free.independent == 4000
-    assert bound.acf1 == pytest.approx(0.8, abs=0.05)
-    assert bound.independent == pytest.approx(4000 / 9, rel=0.35)  # (1 + 0.8) / (1 - 0.8) = 9
+    assert abs(free.acf[1]) < 0.05
+    assert (free.n, free.length) == (4000, 1)
+    assert [bound.acf[lag] for lag in (1, 2, 5)] == pytest.approx([0.8, 0.64, 0.33], abs=0.06)
+    assert bound.length == pytest.approx(9, rel=0.35)  # (1 + 0.8) / (1 - 0.8)
 
 
 def record(*scans: Recording) -> DelayProfile:
@@ -100,9 +100,32 @@ def test_profile_of_two_formats() -> None:
     assert "motor steps a line: 2" in profile.streams["T_act"].note
 
 
-def test_moves_of_different_length_are_refused() -> None:
-    with pytest.raises(ConfigError, match="2, 3 steps"):
-        record(STEPPED, recording(commanded=[0], moved=[4], steps=-3))
+def test_time_per_step_from_moves_of_different_length() -> None:
+    """Half a microsecond a step, whatever else a move takes; one length of moves tells nothing of it."""
+    rest = heavy(60) // 1000
+    scans = [
+        recording(commanded=[0] * 60, moved=(rest + 500 * abs(steps)).tolist(), steps=steps) for steps in (1, -4, 16)
+    ]
+    model = record(*scans).streams["T_act"]
+    assert model.per_step == Constant(kind="constant", unit="ns", value=500)
+    assert model.delay is not None
+    assert model.delay.mean_s == pytest.approx(rest.mean() * 1e-9)
+    assert "motor steps a line: 1, 4, 16; 0.0005 ms a step" in model.note
+    assert record(scans[1]).streams["T_act"].per_step is None
+
+
+def test_storing_is_shared_by_the_lines_of_a_commit() -> None:
+    """Three lines are committed at 500, as soon as the last is copied, and two at 900, when that commit is over."""
+    lines = recording(copied=[100, 200, 320, 400, 480], stored=[500, 500, 500, 900, 900])
+    assert measured_ns(lines)["T_store"].tolist() == [60, 60, 60, 200, 200]
+    assert "T_store" not in measured_ns(recording(mode="sequential", copied=[100], stored=[500]))
+
+
+def test_lines_are_kept_whole() -> None:
+    (scan,) = record(STEPPED).scans
+    assert (scan.lines, scan.pixel_format, scan.steps, scan.exposure_ns) == (3, "Mono8", 2, 100)
+    assert scan.delays_ns["T_act"] == (None, 50, 70)
+    assert scan.delays_ns["T_mcpy"] == (100, 30, 40)
 
 
 def test_nothing_stamped_is_refused() -> None:

@@ -13,7 +13,7 @@ from scanhsi.cli.output import messages, results, write_json
 
 if TYPE_CHECKING:
     from scanhsi.cube.reader import CubeSummary
-    from scanhsi.timing.delays import DelayProfile
+    from scanhsi.timing.delays import DelayProfile, Dependence
     from scanhsi.timing.observed import StageTime
     from scanhsi.timing.recording import Recording
 
@@ -106,7 +106,8 @@ def _recording(summary: CubeSummary) -> Recording:
         exposure_ns=round(plan["exposure_s"] * 1e9),
         pixel_format=plan["pixel_format"],
         steps=plan["step"],
-        stepped=plan["mode"] == "stepped",
+        mode=plan["mode"],
+        run=summary.attributes["run"],
     )
 
 
@@ -132,11 +133,16 @@ def _devices(devices: dict[str, Any]) -> str:
 
 
 def _text(profile: DelayProfile) -> str:
-    """The profile as JSON, one line a stream."""
-    known = profile.model_dump(mode="json", by_alias=True, exclude_none=True, exclude={"streams"})
-    streams = {name: model.model_dump(mode="json", exclude_none=True) for name, model in profile.streams.items()}
+    """The profile as JSON, one line a stream and one a scan."""
+    known = profile.model_dump(mode="json", by_alias=True, exclude_none=True, exclude={"streams", "scans"})
+    streams = {
+        name: model.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        for name, model in profile.streams.items()
+    }
     rows = [f"    {json_text.dumps(name)}: {json_text.dumps(model)}" for name, model in streams.items()]
-    return f"{json_text.dumps(known, indent=2)[:-2]},\n" + '  "streams": {\n' + ",\n".join(rows) + "\n  }\n}\n"
+    scans = [f"    {scan.model_dump_json()}" for scan in profile.scans]
+    head, whole_streams, whole_scans = json_text.dumps(known, indent=2)[:-2], ",\n".join(rows), ",\n".join(scans)
+    return f'{head},\n  "streams": {{\n{whole_streams}\n  }},\n  "scans": [\n{whole_scans}\n  ]\n}}\n'
 
 
 def _described(profile: DelayProfile) -> dict[str, Any]:
@@ -147,6 +153,12 @@ def _described(profile: DelayProfile) -> dict[str, Any]:
         "mark": profile.mark,
         "source": profile.source,
         "notes": {stream: model.note for stream, model in profile.streams.items()},
+        "dependence": {
+            stream: model.dependence.model_dump(mode="json")
+            for stream, model in profile.streams.items()
+            if model.dependence
+        },
+        "lines": sum(scan.lines for scan in profile.scans),
         "streams": {name: asdict(time) for name, time in _times(profile).items()},
     }
 
@@ -176,7 +188,16 @@ def _show(profile: DelayProfile) -> None:
 
     console = results()
     mark = Text(profile.mark, style="bold yellow")
-    console.print(facts({"delays": profile.name, "trust": mark, "source": profile.source}))
+    lines = sum(scan.lines for scan in profile.scans)
+    kept = f"{lines} recorded lines, replayed in blocks" if lines else None
+    console.print(facts({"delays": profile.name, "trust": mark, "source": profile.source, "lines": kept}))
     console.print(stage_table(_times(profile)))
     for stream, model in profile.streams.items():
-        console.print(Text(f"{stream}: {model.note}", style="dim"))
+        known = f" ({_told(model.dependence)})" if model.dependence else ""
+        console.print(Text(f"{stream}: {model.note}{known}", style="dim"))
+
+
+def _told(known: Dependence) -> str:
+    acf = ", ".join(f"{rho:.2f} at lag {lag}" for lag, rho in known.acf.items())
+    rank = f"; rank autocorrelation {acf}" if acf else ""
+    return f"{known.n} lines, worth {known.n / known.length:.0f} independent ones{rank}"

@@ -154,6 +154,30 @@ class InstrumentConfig(Written):
         """Whether every device runs in virtual time, too."""
         return self.camera.backend.virtual_time and self.actuator.backend.virtual_time
 
+    def with_delays(self, profile: str) -> InstrumentConfig:
+        """A copy whose simulated devices spend the delays of another profile; a recorded one is replayed.
+
+        Args:
+            profile: Path of its JSON file, or name of one that the drivers know.
+
+        Raises:
+            ConfigError: A device is not simulated, and takes the time it takes; or there is no such profile.
+        """
+        devices = (self.camera, self.actuator)
+        real = [device for device in devices if "profile" not in type(device.options).model_fields]
+        if real:
+            raise ConfigError(
+                f"instrument {self.name} cannot replay delays:",
+                [f"{device.role.word}.driver = {device.driver!r} is not simulated" for device in real],
+                hint="replay them in a simulated instrument, such as sensors2019.",
+            )
+        return self.model_copy(
+            update={
+                "camera": self.camera.with_option("profile", profile),
+                "actuator": self.actuator.with_option("profile", profile),
+            }
+        )
+
     def with_seed(self, seed: int) -> InstrumentConfig:
         """A copy whose simulated devices draw from another seed.
 

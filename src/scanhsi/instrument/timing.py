@@ -9,7 +9,7 @@ from typing import Final
 from scanhsi.devices.errors import ConfigError
 from scanhsi.instrument.config import InstrumentConfig
 from scanhsi.instrument.device_config import DeviceConfig
-from scanhsi.timing.delays import DelayProfile
+from scanhsi.timing.delays import DelayProfile, DelayStreams
 from scanhsi.timing.devices import (
     ACTUATOR_STREAMS,
     CAMERA_STREAMS,
@@ -51,6 +51,12 @@ def timing_of(config: InstrumentConfig, profile: DelayProfile | None = None) -> 
             hint="measure them and give them with --delays PROFILE.json.",
         )
     return InstrumentTiming(camera, actuator, roi)
+
+
+def storing_of(config: InstrumentConfig) -> DelayStreams | None:
+    """What storing a line takes, of an instrument whose delays are simulated; None where it takes what it takes."""
+    camera = _told(config.camera)
+    return camera.streams if camera.complete and "T_store" in camera.profile.streams else None
 
 
 def _told(device: DeviceConfig) -> DeviceTiming:

@@ -8,7 +8,7 @@ same delays and differences between them are differences of the modes.
 
 import zlib
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,18 +27,44 @@ Stream = Literal[
     "T_api",  # camera API and driver, on the link's time
     "T_mcpy",  # unpacking and copying
     "T_act",  # actuator move, serial call and settle
+    "T_cmd",  # part of T_act from the command until the mirror begins to move
     "settle",  # settle where it is not part of T_act
     "T_rand",  # disturbance by the host's operating system
     "T_store",  # storing
 ]
 """Names of the streams (paper eq 1; the read-out and trigger terms are those of the schedule model)."""
 
-_BLOCK = 1024
+BLOCK = 1024
+"""Lines whose delays are drawn at once."""
 _KEPT_BLOCKS = 4  # bounds the memory of a live view that never ends
 
 
+class Dependence(BaseModel):
+    """How much the delays of successive lines have in common.
+
+    Attributes:
+        n: Delays measured.
+        acf: Autocorrelation of their ranks within a scan, by lag in lines.
+        length: Lines from one delay to the next that is independent of it: n / length is how many independent ones they are worth.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    n: int = Field(ge=1)
+    acf: dict[int, float] = {}
+    length: float = Field(default=1.0, ge=1)
+
+
 class StreamModel(BaseModel):
-    """The delay of one stage: one distribution, or one for each pixel format, plus a part for each motor step."""
+    """The delay of one stage: one distribution, or one for each pixel format, plus a part for each motor step.
+
+    Attributes:
+        note: What it is.
+        mark: How far to trust it.
+        delay, by_format: One of the two.
+        per_step: Added for each motor step.
+        dependence: Of successive lines, where it was measured.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -47,6 +73,7 @@ class StreamModel(BaseModel):
     delay: AnyDistribution | None = None
     by_format: dict[str, AnyDistribution] = {}
     per_step: Constant | None = None
+    dependence: Dependence | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> "StreamModel":
@@ -55,8 +82,50 @@ class StreamModel(BaseModel):
         return self
 
 
+class RecordedScan(BaseModel):
+    """The delays of one scan, line by line.
+
+    Attributes:
+        run: Which scan it was.
+        mode: How mirror and camera took turns.
+        pixel_format: Of its frames.
+        steps: Motor steps between lines, not negative.
+        exposure_ns: Exposure time.
+        delays_ns: For each stream one entry a line, None where the line has no such delay. All of equal length: entries of one
+            place belong to one line.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    run: str
+    mode: str
+    pixel_format: str
+    steps: int = Field(ge=0)
+    exposure_ns: int = Field(ge=0)
+    delays_ns: dict[Stream, tuple[Annotated[int, Field(ge=0)] | None, ...]] = Field(min_length=1, repr=False)
+
+    @model_validator(mode="after")
+    def _whole_lines(self) -> "RecordedScan":
+        lengths = {len(column) for column in self.delays_ns.values()}
+        if len(lengths) > 1 or 0 in lengths:
+            raise ValueError(
+                f"each stream needs one entry for each line, of which there is one at least, not {lengths}"
+            )
+        return self
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        return len(next(iter(self.delays_ns.values())))
+
+
 class DelayProfile(BaseModel):
-    """Delays of an instrument, with their source."""
+    """Delays of an instrument, with their source.
+
+    Attributes:
+        streams: The delay of each stage by itself.
+        scans: The lines that it was recorded from, if it was.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
@@ -65,6 +134,7 @@ class DelayProfile(BaseModel):
     source: str
     mark: str
     streams: dict[Stream, StreamModel]
+    scans: tuple[RecordedScan, ...] = Field(default=(), repr=False)
 
     def distribution(self, stream: Stream, pixel_format: str | None = None) -> AnyDistribution | None:
         """Distribution of a stream, None if the profile has none (no delay).
@@ -126,7 +196,7 @@ class DelayStreams:
             pixel_format: needed where the profile depends on it.
             steps: motor steps moved, either sign.
         """
-        number, place = divmod(line, _BLOCK)
+        number, place = divmod(line, BLOCK)
         blocks = self._blocks.setdefault((stream, pixel_format), {})
         block = blocks.get(number)
         if block is None:
@@ -140,17 +210,21 @@ class DelayStreams:
         self, stream: Stream, lines: int, *, pixel_format: str | None = None, steps: int = 0
     ) -> NDArray[np.int64]:
         """Delays of lines 0 .. lines - 1 in ns, int64 of shape `(lines,)`: the same as `delay_ns` gives one by one."""
-        drawn = [self._draw(stream, pixel_format, number) for number in range(-(-lines // _BLOCK))]
+        drawn = [self._draw(stream, pixel_format, number) for number in range(-(-lines // BLOCK))]
         delays = np.concatenate([*drawn, np.zeros(0, np.int64)])[:lines]
         return delays + abs(steps) * self._per_step_ns[stream]
 
     def _draw(self, stream: Stream, pixel_format: str | None, number: int) -> NDArray[np.int64]:
         distribution = self.profile.distribution(stream, pixel_format)
         if distribution is None:
-            return np.zeros(_BLOCK, dtype=np.int64)
-        # Raw Philox words: the only part of numpy's random API whose output is promised never to change.
-        key = np.array([self.seed, zlib.crc32(stream.encode())], dtype=np.uint64)
-        generator = np.random.Philox(key=key, counter=np.array([0, number, 0, 0], dtype=np.uint64))
-        words = generator.random_raw(_BLOCK * distribution.uniforms)
-        u = (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
-        return sample_ns(distribution, u.reshape(_BLOCK, distribution.uniforms))
+            return np.zeros(BLOCK, dtype=np.int64)
+        return sample_ns(distribution, uniforms(self.seed, stream, number, distribution.uniforms))
+
+
+def uniforms(seed: int, name: str, number: int, columns: int) -> NDArray[np.float64]:
+    """Uniforms in [0, 1) for a block of lines, float64 of shape `(BLOCK, columns)`, by seed, name and number of the block."""
+    # Raw Philox words: the only part of numpy's random API whose output is promised never to change.
+    key = np.array([seed, zlib.crc32(name.encode())], dtype=np.uint64)
+    generator = np.random.Philox(key=key, counter=np.array([0, number, 0, 0], dtype=np.uint64))
+    words = generator.random_raw(BLOCK * columns)
+    return ((words >> np.uint64(11)).astype(np.float64) * 2.0**-53).reshape(BLOCK, columns)

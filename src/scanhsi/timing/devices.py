@@ -15,6 +15,7 @@ from scanhsi.timing.delays import DelayProfile, DelayStreams, Stream, StreamMode
 from scanhsi.timing.distributions import Constant
 from scanhsi.timing.link import transfer_s, wire_overhead
 from scanhsi.timing.model import Terms
+from scanhsi.timing.replay import BLOCK_LINES, delay_streams
 
 CAMERA_STREAMS: Final[tuple[Stream, ...]] = (
     "T_rx",
@@ -44,6 +45,7 @@ class DeviceTiming:
         overlap: Whether the sensor exposes while it reads the last frame out.
         complete: These are all of its delays; a stream that is not in the profile takes no time. A real device is measured instead.
         packet_size: Of stream packets, in bytes, for a transfer time that is computed.
+        block_lines: Mean length of a block where a recorded profile is replayed, `scanhsi.timing.replay.delay_streams`.
     """
 
     profile: DelayProfile
@@ -53,17 +55,22 @@ class DeviceTiming:
     overlap: bool = True
     complete: bool = True
     packet_size: int = 1500
+    block_lines: int = BLOCK_LINES
 
     @cached_property
     def streams(self) -> DelayStreams:
         """The delays of each line."""
-        return DelayStreams(self.profile, self.seed)
+        return delay_streams(self.profile, self.seed, self.block_lines)
 
     def measured(self, profile: DelayProfile) -> DeviceTiming:
-        """The same device with measured delays; where the driver knows only some, those not measured stay."""
+        """The same device with measured delays; where the driver knows only some, those not measured stay.
+
+        A transfer that was recorded is that of the frames as they were sent, not of a whole sensor.
+        """
         kept = {} if self.complete else self.profile.streams
         merged = profile.model_copy(update={"streams": {**kept, **profile.streams}})
-        return replace(self, profile=merged, complete=True)
+        as_sent = self.whole_transfer or bool(profile.scans)
+        return replace(self, profile=merged, complete=True, whole_transfer=as_sent)
 
     def part(self, pixel_format: PixelFormat, roi: tuple[int, int] | None) -> tuple[int, int]:
         """Bytes sent of a frame, and bytes of the frame that the profile is for."""

@@ -1,7 +1,6 @@
 """From the stamps of real scans to a delay profile: what each stage of this instrument costs, as it was measured.
 
-Streams are marginal: how the delay of one line depends on that of the line before, or of another stage, is told in the notes,
-not kept.
+A profile keeps both the distribution of each stream by itself and, for replay, the delays of each line, all streams together.
 """
 
 from __future__ import annotations
@@ -15,16 +14,18 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from scanhsi.devices.errors import ConfigError
-from scanhsi.timing.delays import DelayProfile, Stream, StreamModel
+from scanhsi.timing.delays import DelayProfile, Dependence, RecordedScan, Stream, StreamModel
 from scanhsi.timing.distributions import AnyDistribution, Constant, Quantile
 from scanhsi.timing.observed import Stamps
 
 Ns = NDArray[np.int64]
 
 _ABSENT: Final = np.iinfo(np.int64).min
+_NONE: Final = np.int64(-1)
 _UNIFORM_KNOTS: Final = 129
 _TAIL_KNOTS: Final = 12
 _BY_FORMAT: Final = ("T_rx", "T_mcpy")
+_LAGS: Final = (1, 2, 5, 20)
 _NOTES: Final[dict[Stream, str]] = {
     "T_trig": "trigger to exposure start",
     "T_ev": "end of the nominal exposure until the next move was commanded (stepped: margin and wake-up of the host included), "
@@ -33,6 +34,8 @@ _NOTES: Final[dict[Stream, str]] = {
     "T_rx": "first byte (else exposure end) to frame received, less the time the link was busy; of frames as they were sent",
     "T_mcpy": "frame received to copied, less the time the copier was busy",
     "T_act": "command to moved, settle and host disturbance included",
+    "T_store": "a line's even share of the commit that stored it, from when its last line is copied and the commit before is over; "
+    "not of sequential scans",
 }
 _WITHIN: Final[dict[Stream, Stream]] = {"T_api": "T_rx", "T_rand": "T_act", "settle": "T_act"}
 """Not separable by the stamps: counted as 0, because it is in the other."""
@@ -47,39 +50,27 @@ class Recording:
         exposure_ns: Exposure time.
         pixel_format: Of its frames.
         steps: Motor steps between lines, either sign.
-        stepped: Moves begin as soon as the exposure is known to have ended.
+        mode: ``sequential``, ``stepped`` or ``continuous``.
+        run: Which scan it was.
     """
 
     stamps: Stamps
     exposure_ns: int
     pixel_format: str
     steps: int
-    stepped: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Dependence:
-    """How much the delays of successive lines have in common.
-
-    Attributes:
-        lines: Delays measured.
-        acf1: Autocorrelation of their ranks at lag 1.
-        independent: How many independent delays they are worth.
-    """
-
-    lines: int
-    acf1: float
-    independent: float
+    mode: str
+    run: str = ""
 
 
 def measured_ns(recording: Recording) -> dict[Stream, Ns]:
-    """Delays of one scan by stream, in ns, int64 of shape (lines with both stamps,), in order of lines."""
+    """Delays of one scan by stream, in ns, int64 (lines,), -1 where a line has none. Streams that no line has are left out."""
     column = recording.stamps
     end, received, copied = column["exposure_end"], column["received"], column["copied"]
     link_free, copier_free = _before(received), _before(copied)
     sent = np.where(column["first_byte"] == _ABSENT, end, column["first_byte"])
     nominal = np.where(column["exposure_start"] == _ABSENT, _ABSENT, column["exposure_start"] + recording.exposure_ns)
-    known = np.append(column["commanded"][1:], _ABSENT) if recording.stepped else end
+    # Stepped, the mirror moves as soon as the host knows that the exposure has ended.
+    known = np.append(column["commanded"][1:], _ABSENT) if recording.mode == "stepped" else end
     idle = (end != _ABSENT) & (link_free <= end)
     found: dict[Stream, Ns] = {
         "T_trig": _delays(column["trigger"], column["exposure_start"]),
@@ -89,7 +80,23 @@ def measured_ns(recording: Recording) -> dict[Stream, Ns]:
         "T_mcpy": _delays(np.where(received == _ABSENT, _ABSENT, np.maximum(received, copier_free)), copied),
         "T_act": _delays(column["commanded"], column["moved"]),
     }
-    return {stream: delays for stream, delays in found.items() if len(delays)}
+    if recording.mode != "sequential":
+        # A sequential scan waits until a line is handed over, not until it is stored: counted there, storing would be a wait.
+        found["T_store"] = _storing(copied, column["stored"])
+    return {stream: delays for stream, delays in found.items() if bool(np.any(delays >= 0))}
+
+
+def _storing(copied: Ns, stored: Ns) -> Ns:
+    """Each line's share of its commit: lines that became safe at the same time were written together."""
+    shares = np.full(len(stored), _NONE)
+    present = np.flatnonzero((stored != _ABSENT) & (copied != _ABSENT))
+    if len(present):
+        ended, first, commit, lines = np.unique(
+            stored[present], return_index=True, return_inverse=True, return_counts=True
+        )
+        began = np.maximum(np.maximum.reduceat(copied[present], first), np.append(_ABSENT, ended[:-1]))
+        shares[present] = (np.maximum(ended - began, 0) // lines)[commit]
+    return shares
 
 
 def _before(ended: Ns) -> Ns:
@@ -99,7 +106,7 @@ def _before(ended: Ns) -> Ns:
 
 def _delays(first: Ns, last: Ns) -> Ns:
     both = (first != _ABSENT) & (last != _ABSENT)
-    return np.maximum(last[both] - first[both], 0)
+    return np.where(both, np.maximum(np.where(both, last, 0) - np.where(both, first, 0), 0), _NONE)
 
 
 def table(delays_ns: Ns) -> AnyDistribution:
@@ -123,18 +130,24 @@ def table(delays_ns: Ns) -> AnyDistribution:
 
 
 def dependence(scans_ns: Sequence[Ns]) -> Dependence:
-    """Autocorrelation over lines, by ranks, averaged over scans; it is summed up to where it is lost in the noise."""
+    """Autocorrelation over lines, by ranks, averaged over scans; for the length it is summed up to where it is lost in the noise.
+
+    Args:
+        scans_ns: Delays of each scan, int64 (n,), at least one in all.
+    """
     lines = sum(len(scan) for scan in scans_ns)
     varying = [_ranks(scan) for scan in scans_ns if len(scan) > 2 and np.ptp(scan)]
     if not varying:
-        return Dependence(lines, 0.0, float(lines))
-    acf1, time = _autocorrelation(varying, 1), 1.0
-    for lag in range(1, min(len(ranks) for ranks in varying) // 2 + 1):
+        return Dependence(n=lines)
+    shortest = min(len(ranks) for ranks in varying)
+    acf = {lag: round(_autocorrelation(varying, lag), 4) for lag in _LAGS if lag < shortest / 2}
+    length = 1.0
+    for lag in range(1, shortest // 2 + 1):
         rho = _autocorrelation(varying, lag)
         if rho < max(0.05, 2 / np.sqrt(lines)):
             break
-        time += 2 * rho
-    return Dependence(lines, acf1, lines / time)
+        length += 2 * rho
+    return Dependence(n=lines, acf=acf, length=round(length, 2))
 
 
 def _ranks(delays_ns: Ns) -> NDArray[np.float64]:
@@ -153,29 +166,23 @@ def profile_of(
     """The delay profile of an instrument, from scans of it.
 
     Args:
-        recordings: Its scans; they may differ in exposure and pixel format.
+        recordings: Its scans; they may differ in exposure, pixel format and length of moves.
         name: Of the profile.
         source: Which scans of which devices.
         mark: How far to trust it.
         readout_s: Read-out as the camera tells it; 0 where it does not.
 
     Raises:
-        ConfigError: Moves of different length, of which one distribution would be wrong; or no line has a delay.
+        ConfigError: No line has a delay.
     """
-    strides = sorted({abs(each.steps) for each in recordings})
-    if len(strides) > 1:
-        raise ConfigError(
-            f"the scans move by {', '.join(map(str, strides))} steps: record each length of move by itself."
-        )
-    measured = [(each.pixel_format, measured_ns(each)) for each in recordings]
-    streams: dict[Stream, StreamModel] = {}
-    for stream, meaning in _NOTES.items():
-        by_format: dict[str, list[Ns]] = {}
-        for pixel_format, found in measured:
-            if stream in found:
-                by_format.setdefault(pixel_format if stream in _BY_FORMAT else "", []).append(found[stream])
-        if by_format:
-            streams[stream] = _model(stream, f"{meaning}{_moves(stream, strides[0])}", mark, by_format)
+    measured = [(each, measured_ns(each)) for each in recordings]
+    moves = [(abs(each.steps), _present(found["T_act"])) for each, found in measured if "T_act" in found]
+    law = step_law(moves) if moves else None
+    streams: dict[Stream, StreamModel] = {
+        stream: _model(stream, mark, [(each, found[stream]) for each, found in measured if stream in found], law)
+        for stream in _NOTES
+        if any(stream in found for _, found in measured)
+    }
     if not streams:
         raise ConfigError("no line of these scans has two stamps to measure a delay between.")
     for stream, whole in _WITHIN.items():
@@ -184,24 +191,85 @@ def profile_of(
     if readout_s:
         told = Constant(kind="constant", unit="s", value=readout_s)
         streams["T_rd"] = StreamModel(note="as the camera tells it, not measured", mark="not measured", delay=told)
-    return DelayProfile(schema=1, name=name, source=source, mark=mark, streams=streams)
+    scans = tuple(_recorded(each, found) for each, found in measured if found)
+    return DelayProfile(schema=1, name=name, source=source, mark=mark, streams=streams, scans=scans)
 
 
 _ZERO: Final = Constant(kind="constant", unit="ns", value=0)
 
 
-def _moves(stream: Stream, steps: int) -> str:
-    return f", motor steps a line: {steps}" if stream == "T_act" else ""
+@dataclass(frozen=True, slots=True)
+class StepLaw:
+    """What each motor step of a move takes: a straight line through the medians of moves of different length.
+
+    Attributes:
+        per_step_ns: Of each step; 0 where moves are of one length, or longer ones take no longer.
+        off_ns: By which the median of a length is off that line, at most.
+        steps: Lengths of the moves.
+    """
+
+    per_step_ns: int
+    off_ns: int
+    steps: tuple[int, ...]
+
+    def told(self) -> str:
+        """In words."""
+        lengths = f"motor steps a line: {', '.join(map(str, self.steps))}"
+        if len(self.steps) < 2:
+            return lengths
+        return (
+            f"{lengths}; {self.per_step_ns * 1e-6:.4g} ms a step (medians off by at most {self.off_ns * 1e-6:.3g} ms)"
+        )
 
 
-def _model(stream: Stream, meaning: str, mark: str, by_format: dict[str, list[Ns]]) -> StreamModel:
-    tables = {kind: table(np.concatenate(scans)) for kind, scans in by_format.items()}
-    note = "; ".join([meaning, *(_told(kind, dependence(scans)) for kind, scans in by_format.items())])
-    if stream in _BY_FORMAT:
-        return StreamModel(note=note, mark=mark, by_format=tables)
-    return StreamModel(note=note, mark=mark, delay=tables[""])
+def step_law(moves: Sequence[tuple[int, Ns]]) -> StepLaw:
+    """Fit the time per step.
+
+    Args:
+        moves: Steps of a move, and how long such moves took in ns, for each scan; one scan at least.
+    """
+    lengths = sorted({steps for steps, _ in moves})
+    by_length = [np.concatenate([took for steps, took in moves if steps == length]) for length in lengths]
+    medians = np.array([np.median(took) for took in by_length])
+    weights = np.sqrt([len(took) for took in by_length])
+    slope = float(np.polyfit(lengths, medians, 1, w=weights)[0]) if len(lengths) > 1 else 0.0
+    per_step_ns = max(round(slope), 0)
+    rest = medians - per_step_ns * np.array(lengths)
+    off = np.abs(rest - np.average(rest, weights=weights**2))
+    return StepLaw(per_step_ns, round(float(off.max())), tuple(lengths))
 
 
-def _told(kind: str, known: Dependence) -> str:
-    what = f"{kind}: {known.lines} lines" if kind else f"{known.lines} lines"
-    return f"{what}, worth {known.independent:.0f} independent ones (rank autocorrelation {known.acf1:.2f} at lag 1)"
+def _recorded(recording: Recording, found: dict[Stream, Ns]) -> RecordedScan:
+    return RecordedScan(
+        run=recording.run,
+        mode=recording.mode,
+        pixel_format=recording.pixel_format,
+        steps=abs(recording.steps),
+        exposure_ns=recording.exposure_ns,
+        delays_ns={
+            stream: tuple(ns if ns >= 0 else None for ns in column.tolist()) for stream, column in found.items()
+        },
+    )
+
+
+def _model(stream: Stream, mark: str, scans: Sequence[tuple[Recording, Ns]], law: StepLaw | None) -> StreamModel:
+    note, per_step_ns = _NOTES[stream], 0
+    if stream == "T_act" and law is not None:
+        note, per_step_ns = f"{note}, {law.told()}", law.per_step_ns
+    by_format: dict[str, list[Ns]] = {}
+    for recording, column in scans:
+        rest = np.maximum(_present(column) - per_step_ns * abs(recording.steps), 0)
+        by_format.setdefault(recording.pixel_format if stream in _BY_FORMAT else "", []).append(rest)
+    tables = {kind: table(np.concatenate(delays)) for kind, delays in by_format.items()}
+    return StreamModel(
+        note=note,
+        mark=mark,
+        delay=tables.get(""),
+        by_format={kind: delays for kind, delays in tables.items() if kind},
+        per_step=Constant(kind="constant", unit="ns", value=per_step_ns) if per_step_ns else None,
+        dependence=dependence([_present(column) for _, column in scans]),
+    )
+
+
+def _present(column: Ns) -> Ns:
+    return column[column >= 0]
