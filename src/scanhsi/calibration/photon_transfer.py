@@ -1,0 +1,208 @@
+"""Photon transfer: what the sensor makes of photons, a subset of EMVA 1288 release 4.
+
+From pairs of flat frames at several exposures and pairs of dark frames at the same ones: the variance of a pair's difference
+grows with the dark-corrected mean by the gain of the system (counts per electron), from a level that is the read noise. Everything
+is in counts and electrons; photons would need a calibrated source, which line scanners rarely stand before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanhsi.calibration.result import Provenance, Stored
+from scanhsi.devices.errors import CalibrationError
+
+Floats = NDArray[np.float64]
+
+_QUANTISATION: Final = 1 / 12
+_GAIN_RANGE: Final = 0.7
+_LINEAR_RANGE: Final = (0.05, 0.95)
+_EXPOSURE = ("exposure",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatPair:
+    """Two frames of a flat, constant light, and two dark ones, at one exposure.
+
+    Attributes:
+        exposure_s: Exposure time.
+        flat: (2, band, sample) counts.
+        dark: (2, band, sample) counts.
+    """
+
+    exposure_s: float
+    flat: NDArray[Any]
+    dark: NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotonTransfer:
+    """The sensor in numbers. dB are 20 log10 of a ratio of amplitudes.
+
+    Attributes:
+        gain, gain_sigma: Counts per electron, with its standard error.
+        read_noise_e: Temporal noise in the dark at the shortest exposure, electrons, without that of rounding.
+        full_well_e: Electrons at saturation: where the variance of the flats is largest.
+        snr_max_db: Signal to noise at saturation.
+        dynamic_range_db: Full well over the smallest signal that can be told from noise (signal to noise of 1).
+        dsnu_e: Spatial standard deviation of the dark frames, temporal noise removed, electrons.
+        prnu: Spatial standard deviation of the response at half saturation, relative.
+        linearity_error: Mean deviation from the line through the dark-corrected means, 5 to 95 % of saturation, relative.
+        exposure_s: Exposures, (exposure,).
+        signal: Dark-corrected means, counts, (exposure,).
+        variance: Temporal variance less that of the dark, counts^2, (exposure,).
+        pixels: Pixels used.
+        provenance: Where it comes from.
+    """
+
+    kind: ClassVar[str] = "photon-transfer"
+
+    gain: Annotated[float, Stored("counts electron-1", "system gain K")]
+    gain_sigma: Annotated[float, Stored("counts electron-1", "standard error of the gain")]
+    read_noise_e: Annotated[float, Stored("electron", "temporal dark noise")]
+    full_well_e: Annotated[float, Stored("electron", "saturation capacity")]
+    snr_max_db: Annotated[float, Stored("dB", "signal to noise at saturation")]
+    dynamic_range_db: Annotated[float, Stored("dB", "dynamic range")]
+    dsnu_e: Annotated[float, Stored("electron", "dark signal non-uniformity")]
+    prnu: Annotated[float, Stored("1", "photo response non-uniformity")]
+    linearity_error: Annotated[float, Stored("1", "mean deviation from the line")]
+    exposure_s: Annotated[Floats, Stored("s", "exposures", _EXPOSURE)]
+    signal: Annotated[Floats, Stored("counts", "dark-corrected means", _EXPOSURE)]
+    variance: Annotated[Floats, Stored("counts2", "temporal variance less that of the dark", _EXPOSURE)]
+    pixels: Annotated[int, Stored("1", "pixels used")]
+    provenance: Provenance
+
+
+def photon_transfer(
+    pairs: Sequence[FlatPair], provenance: Provenance, *, mask: NDArray[np.bool_] | None = None
+) -> PhotonTransfer:
+    """Work out the photon transfer of a region that is evenly lit.
+
+    Args:
+        pairs: One an exposure, from dark to saturated; eight or more.
+        provenance: Where they come from.
+        mask: (band, sample), pixels to use; all by default. A spectrograph's frame is never evenly lit: take a region of it.
+
+    Raises:
+        CalibrationError: Too few exposures, no saturation reached, frames that do not go together, or no light.
+    """
+    pairs = sorted(pairs, key=lambda pair: pair.exposure_s)
+    region = _region(pairs, mask)
+    signal, variance = (np.array(values) for values in zip(*(_moments(pair, region) for pair in pairs), strict=True))
+    top = _saturation(signal, variance)
+    gain, gain_sigma = _gain(signal[: top + 1], variance[: top + 1], int(region.sum()))
+    dark_variance = _difference_variance(pairs[0].dark, region)
+    read_e = math.sqrt(max(dark_variance - _QUANTISATION, 0.0)) / gain
+    full_e = float(signal[top]) / gain
+    smallest_e = math.sqrt(dark_variance) / gain + 0.5  # EMVA 1288: where the signal to noise ratio is 1
+    return PhotonTransfer(
+        gain=gain,
+        gain_sigma=gain_sigma,
+        read_noise_e=read_e,
+        full_well_e=full_e,
+        snr_max_db=10 * math.log10(full_e),
+        dynamic_range_db=20 * math.log10(full_e / smallest_e),
+        dsnu_e=_spatial(pairs[0].dark, region) / gain,
+        prnu=_prnu(pairs, signal, top, region),
+        linearity_error=_linearity_error(np.array([pair.exposure_s for pair in pairs]), signal, top),
+        exposure_s=np.array([pair.exposure_s for pair in pairs]),
+        signal=signal,
+        variance=variance,
+        pixels=int(region.sum()),
+        provenance=provenance,
+    )
+
+
+def _region(pairs: Sequence[FlatPair], mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    if len(pairs) < 5:
+        raise CalibrationError(
+            f"photon transfer needs five exposures at least, not {len(pairs)}.", hint="take 10, evenly up to saturation"
+        )
+    shape = pairs[0].flat.shape[1:]
+    for pair in pairs:
+        if pair.flat.shape != (2, *shape) or pair.dark.shape != (2, *shape):
+            raise CalibrationError(
+                f"two flat and two dark frames of {shape} are needed at {pair.exposure_s:g} s, not {pair.flat.shape} and "
+                f"{pair.dark.shape}."
+            )
+        if not all(np.isfinite(frames).all() for frames in (pair.flat, pair.dark)):
+            raise CalibrationError(f"the frames at {pair.exposure_s:g} s hold values that are no numbers.")
+    region = np.ones(shape, bool) if mask is None else mask
+    if region.shape != shape or region.sum() < 100:
+        raise CalibrationError(f"100 pixels of {shape} are needed at least; the mask leaves {int(region.sum())}.")
+    return region
+
+
+def _moments(pair: FlatPair, region: NDArray[np.bool_]) -> tuple[float, float]:
+    """Dark-corrected mean, and temporal variance less that of the dark."""
+    mean = pair.flat[:, region].mean(dtype=np.float64) - pair.dark[:, region].mean(dtype=np.float64)
+    return float(mean), _difference_variance(pair.flat, region) - _difference_variance(pair.dark, region)
+
+
+def _difference_variance(frames: NDArray[Any], region: NDArray[np.bool_]) -> float:
+    """Temporal variance from the difference of two frames, in which everything that stays has gone."""
+    first, second = frames[:, region].astype(np.float64)
+    return float(np.var(first - second)) / 2
+
+
+def _saturation(signal: Floats, variance: Floats) -> int:
+    """Index of the exposure at saturation: the variance of clipped pixels falls, so it is largest just before."""
+    top = int(np.argmax(variance))
+    if top < 2 or signal[top] <= 0:
+        raise CalibrationError(
+            "the flats hold no light, or are saturated from the start.", hint="shorter exposures, or less light"
+        )
+    if top == len(signal) - 1:
+        raise CalibrationError(
+            "no flat is saturated, so the full well is not known.", hint="expose until the variance falls again"
+        )
+    return top
+
+
+def _gain(signal: Floats, variance: Floats, pixels: int) -> tuple[float, float]:
+    """Slope of the variance over the signal up to 70 % of saturation, through the origin, and its standard error."""
+    low = signal <= _GAIN_RANGE * signal[-1]
+    x, y = signal[low], variance[low]
+    weight = 1 / np.maximum(y, y.max() * 1e-3) ** 2  # a variance of n pixels is known to sqrt(2 / n) of itself
+    gain = float(np.sum(weight * x * y) / np.sum(weight * x * x))
+    if not gain > 0:
+        raise CalibrationError(
+            "the noise does not grow with the light: the frames are averaged, clipped or compressed."
+        )
+    return gain, math.sqrt(2 / pixels / float(np.sum(weight * x * x)))
+
+
+def _spatial(frames: NDArray[Any], region: NDArray[np.bool_]) -> float:
+    """Spatial standard deviation of the mean of two frames, temporal noise removed."""
+    mean = frames[:, region].mean(axis=0, dtype=np.float64)
+    return math.sqrt(max(float(np.var(mean)) - _difference_variance(frames, region) / 2, 0.0))
+
+
+def _prnu(pairs: Sequence[FlatPair], signal: Floats, top: int, region: NDArray[np.bool_]) -> float:
+    """At half saturation, the spatial variance of flat less dark, relative to the signal."""
+    half = int(np.argmin(np.abs(signal[: top + 1] - signal[top] / 2)))
+    flat, dark = _spatial(pairs[half].flat, region), _spatial(pairs[half].dark, region)
+    return math.sqrt(max(flat**2 - dark**2, 0.0)) / float(signal[half])
+
+
+def _linearity_error(exposure_s: Floats, signal: Floats, top: int) -> float:
+    """Mean relative deviation from the line that fits best in relative terms, between 5 and 95 % of saturation."""
+    low, high = (share * signal[top] for share in _LINEAR_RANGE)
+    used = (signal >= low) & (signal <= high)
+    if used.sum() < 3:
+        return float("nan")
+    x, y = exposure_s[used], signal[used]
+    fitted = _relative_line(x, y)
+    return float(np.mean(np.abs(y - fitted) / fitted))
+
+
+def _relative_line(x: Floats, y: Floats) -> Floats:
+    """The line through y whose relative deviations are least, at x."""
+    (level, slope), *_ = np.linalg.lstsq(np.stack((1 / y, x / y), axis=1), np.ones_like(y), rcond=None)
+    return level + slope * x

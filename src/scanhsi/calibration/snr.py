@@ -1,0 +1,90 @@
+"""Signal to noise, as the paper defines it and as everybody else does (Eqs. 16-20, figure 12).
+
+The paper divides the mean of a reflectance by its variance, 10 log10(mu / sigma^2): dimensionless only because a reflectance is,
+and larger than the usual 20 log10(mu / sigma) by -10 log10(mu). Both are given, so that figures can be compared with either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scanhsi.calibration.result import Provenance, Stored
+from scanhsi.devices.errors import CalibrationError
+
+Floats = NDArray[np.float64]
+
+_PLACE = ("exposure", "band")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignalToNoise:
+    """Signal to noise of each band at each exposure, from repeated lines of an even target.
+
+    Attributes:
+        exposure_s: Exposures, (exposure,).
+        snr_db: 20 log10(mean / standard deviation) over time, median over the samples, (exposure, band).
+        snr_paper_db: Eq. 20 on the reflectance given, 10 log10(mean / variance), (exposure, band).
+        spatial_db: 20 log10(mean / standard deviation) over the samples of a mean line: what unevenness leaves, (exposure, band).
+        lines: Lines used of each exposure, (exposure,).
+        provenance: Where it comes from.
+    """
+
+    kind: ClassVar[str] = "snr"
+
+    exposure_s: Annotated[Floats, Stored("s", "exposures", ("exposure",))]
+    snr_db: Annotated[Floats, Stored("dB", "temporal signal to noise", _PLACE)]
+    snr_paper_db: Annotated[Floats, Stored("dB", "signal to noise by equation 20 of the paper", _PLACE)]
+    spatial_db: Annotated[Floats, Stored("dB", "signal to noise over the samples", _PLACE)]
+    lines: Annotated[NDArray[np.int64], Stored("1", "lines used", ("exposure",))]
+    provenance: Provenance
+
+
+def signal_to_noise(captures: dict[float, NDArray[Any]], provenance: Provenance) -> SignalToNoise:
+    """Work out the signal to noise of reflectances, or of dark-corrected counts.
+
+    Eq. 20 means something only for reflectances; of counts, ``snr_paper_db`` is nan.
+
+    Args:
+        captures: Exposure in s -> (band, line, sample) values of the same place, nan where not known.
+        provenance: Where they come from.
+
+    Raises:
+        CalibrationError: Fewer than three lines at an exposure, or sizes that differ.
+    """
+    if not captures:
+        raise CalibrationError("there is nothing to work a signal to noise ratio out from.")
+    exposures = sorted(captures)
+    shapes = {captures[exposure].shape[::2] for exposure in exposures}
+    if len(shapes) > 1 or any(captures[exposure].ndim != 3 for exposure in exposures):
+        raise CalibrationError("the captures have different bands or samples.")
+    for exposure in exposures:
+        if captures[exposure].shape[1] < 3:
+            raise CalibrationError(f"{captures[exposure].shape[1]} lines at {exposure:g} s show no noise; take 20.")
+    columns = [_ratios(np.asarray(captures[exposure], np.float64)) for exposure in exposures]
+    snr, paper, spatial = (np.stack(column) for column in zip(*columns, strict=True))
+    lines = np.array([captures[exposure].shape[1] for exposure in exposures], np.int64)
+    return SignalToNoise(np.array(exposures), snr, paper, spatial, lines, provenance)
+
+
+def _ratios(values: Floats) -> tuple[Floats, Floats, Floats]:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean, sigma = values.mean(axis=1), values.std(axis=1, ddof=1)
+        temporal = 20 * np.log10(mean / sigma)
+        paper = 10 * np.log10(mean / sigma**2)
+        if np.nanmax(mean, initial=0) > _REFLECTANCE_AT_MOST:
+            paper = np.full_like(paper, np.nan)
+        spatial = 20 * np.log10(np.nanmean(mean, axis=1) / np.nanstd(mean, axis=1, ddof=1))
+    return _median(temporal), _median(paper), spatial
+
+
+def _median(values: Floats) -> Floats:
+    """Median over the samples that are known, (band,); nan where none is."""
+    return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values])
+
+
+_REFLECTANCE_AT_MOST = 3.0
+"""Means above this are counts, whatever they are called."""
