@@ -12,6 +12,7 @@ PYTHON ?= $(shell for python in /usr/bin/python3 python3.13 python3.12 python3.1
 	&& { command -v $$python; break; }; done)
 VENV := .venv
 BIN := $(VENV)/bin
+PEERS := .venv-peers
 OUT := out
 
 # What each target needs of the system, as Debian packages.
@@ -19,9 +20,9 @@ PACKAGES_env := python3-venv
 PACKAGES_twin := python3-gi gir1.2-aravis-0.8 gcc libc6-dev libsimavr-dev libelf-dev
 PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git
 
-.PHONY: env twin scan test lint docs soak bench clean help
+.PHONY: env twin scan test lint docs soak bench bench-peers clean help
 help:  ## List the targets
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 env: $(VENV)/.runtime  ## Build the environment in .venv
 
@@ -54,8 +55,11 @@ bench: $(VENV)/.dev  ## Benchmarks of the engine and the writer
 	$(BIN)/scanhsi bench engine
 	$(BIN)/python tests/benchmarks/bench_cube.py --lines 128
 
+bench-peers: $(PEERS)/.installed  ## The engine side by side with those of other projects, about 8 minutes
+	$(PEERS)/bin/python tests/benchmarks/peers/run.py
+
 clean:  ## Remove what was built
-	rm -rf $(VENV) $(OUT) site build dist
+	rm -rf $(VENV) $(PEERS) $(OUT) site build dist
 
 # --- set-up --------------------------------------------------------------------------------------------------------------
 
@@ -70,6 +74,14 @@ $(VENV)/.runtime: pyproject.toml $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
 	@touch $@ $(VENV)/.runtime
+
+# A peer that cannot be installed does not keep the others out: the table says so, and the next call tries again.
+$(PEERS)/.installed: pyproject.toml tests/benchmarks/peers/requirements.txt | system-env
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --editable .
+	@install="$(PEERS)/bin/pip install --quiet --disable-pip-version-check"; \
+	if $$install --requirement tests/benchmarks/peers/requirements.txt; then touch $@; else \
+		grep -v '^#' tests/benchmarks/peers/requirements.txt | xargs -n 1 $$install || true; fi
 
 # PyGObject from the distribution, seen by the environment's Python of the same minor version; nothing else of the system is.
 $(VENV)/.gi: $(VENV)/bin/python
