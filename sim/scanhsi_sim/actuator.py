@@ -1,8 +1,9 @@
 """The simulated actuator: turns the bench's mirror, in times drawn from a delay profile.
 
 A move costs ``T_rand + T_act(steps) + settle``. T_rand is what the host's operating system adds now and then: the paper
-cannot say to which stage, and here the serial call pays for it; the mirror stands still meanwhile. During all of T_act and settle
-the mirror counts as moving, though part of it is serial exchange: so an exposure that begins too early is always seen.
+cannot say to which stage, and here the serial call pays for it; the mirror stands still meanwhile, and during T_cmd, the first
+part of T_act, in which the command is on its way. During all the rest the mirror counts as moving; where the profile has no T_cmd,
+during all of T_act, though part of it is serial exchange: so an exposure that begins too early is always seen.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from scanhsi.clock import now_ns, sleep_until_ns
 from scanhsi.devices import ActuatorInfo, Motion, Range, Sighting, Sweep
 from scanhsi.devices.errors import DeviceBusy, DeviceError, MotionFailed
 from scanhsi.timing.delays import Stream
+from scanhsi.timing.distributions import least_s
 from scanhsi.timing.replay import delay_streams
 from scanhsi_sim.bench import Mirror, bench
 from scanhsi_sim.options import ActuatorOptions, find_profile
@@ -96,12 +98,19 @@ class SimulatedActuator:
 
     async def _move(self, step: int, operation: str) -> Motion:
         commanded_ns, line = now_ns(), self._bench.exposures
-        moving_ns = commanded_ns + self._delay_ns("T_rand", line)
         steps = abs(step - self._position)
-        cost_ns = self._delay_ns("T_act", line, steps) + self._delay_ns("settle", line)
-        self._bench.mirror.move(moving_ns, moving_ns + cost_ns, step)
-        await self._arrive(moving_ns + cost_ns, step, operation)
-        return Motion(step, commanded_ns, now_ns())
+        act_ns = self._delay_ns("T_act", line, steps)
+        sent_ns = commanded_ns + self._delay_ns("T_rand", line)
+        started_ns = sent_ns + min(self._delay_ns("T_cmd", line), act_ns)
+        end_ns = sent_ns + act_ns + self._delay_ns("settle", line)
+        self._bench.mirror.move(started_ns, end_ns, step)
+        await self._arrive(end_ns, step, operation)
+        return Motion(step, commanded_ns, now_ns(), started_ns=started_ns)
+
+    def least_latency_s(self) -> float:
+        """The shortest T_rand and T_cmd that the profile can draw."""
+        streams: tuple[Stream, ...] = ("T_rand", "T_cmd")
+        return sum(least_s(found) for stream in streams if (found := self._profile.distribution(stream)))
 
     async def stop(self) -> None:
         """Stop the mirror where it is."""

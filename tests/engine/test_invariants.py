@@ -146,5 +146,5 @@ def test_columns_of_the_records_are_written_in_place() -> None:
     for stage, column in opened.items():
         assert sink.records.stamps[stage] is column
         assert column.dtype == np.int64
-        taken = column[1:] if stage in ("commanded", "moved") else column
+        taken = column[1:] if stage in ("commanded", "started", "moved") else column
         assert np.all(taken != NOT_STAMPED), stage

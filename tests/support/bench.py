@@ -45,11 +45,14 @@ class Bench:
     readout_ms: float = 8.0
     copy_ms: float = 0.0
     move_ms: float = 3.0
+    latency_ms: tuple[float, ...] = (0.0,)  # of each move, over and over: part of it in which the mirror still stands
     fail_at: int | None = None  # number of the device operation that raises DeviceLost
     lose: frozenset[int] = frozenset()  # exposures whose frame is reported as a gap
     swallow: frozenset[int] = frozenset()  # exposures whose frame never comes, without a word
     ignore: frozenset[int] = frozenset()  # pulses that the camera does not see
     stalls: dict[int, float] = field(default_factory=dict)  # pulse -> ms by which the mirror falls behind there
+    least_latency_ms: float = 0.0
+    moves: int = 0
     operations: int = 0
     position: int = 7
     homed: bool = True
@@ -127,9 +130,13 @@ class BenchCamera:
             self._spawn(self._run_free())
 
     async def expose(self) -> Exposure:
+        return await self.expose_foretold(lambda _: None)
+
+    async def expose_foretold(self, foretold: Callable[[int], None]) -> Exposure:
         self.bench.operation()
         start = now_ns()
         end = start + _ns(self.bench.exposure_ms)
+        foretold(end)
         index = self._begin(start, end)
         if self.bench.exposure_ms:
             await sleep_until_ns(end)
@@ -220,7 +227,7 @@ class BenchCamera:
 
 
 class BenchActuator:
-    """An actuator with a constant move time; says where it is and when it moved."""
+    """An actuator with a constant move time, of which the first part may be latency; says where it is and when it moved."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -262,12 +269,18 @@ class BenchActuator:
         self.bench.stopped = False
         start = now_ns()
         end = start + _ns(self.bench.move_ms)
+        latency = self.bench.latency_ms[self.bench.moves % len(self.bench.latency_ms)]
+        self.bench.moves += 1
+        began = min(start + _ns(latency), end)
         if self.bench.move_ms:
-            self.bench.motions.append((start, end))
+            self.bench.motions.append((began, end))
             await sleep_until_ns(end)
         self.bench.operation()
         self.bench.position = step
-        return Motion(step, start, end)
+        return Motion(step, start, end, started_ns=began)
+
+    def least_latency_s(self) -> float:
+        return self.bench.least_latency_ms * 1e-3
 
     async def stop(self) -> None:
         await asyncio.sleep(0.0005)

@@ -3,12 +3,14 @@
 from scanhsi.devices.actuator import Actuator, ActuatorInfo, Motion
 from scanhsi.devices.camera import Camera, CameraInfo, CameraSettings, Exposure, Roi, Trigger, check_settings
 from scanhsi.devices.capabilities import (
+    ForetellsEnd,
     FreeRunning,
     HardwareTriggered,
     OverlapsReadout,
     Sighting,
     Sweep,
     Sweeps,
+    TellsStart,
     capabilities_of,
     require,
 )
@@ -25,6 +27,7 @@ __all__ = [
     "CameraInfo",
     "CameraSettings",
     "Exposure",
+    "ForetellsEnd",
     "Found",
     "Frame",
     "FrameChannel",
@@ -43,6 +46,7 @@ __all__ = [
     "Sighting",
     "Sweep",
     "Sweeps",
+    "TellsStart",
     "Trigger",
     "capabilities_of",
     "check_settings",

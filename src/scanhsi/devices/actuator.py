@@ -60,12 +60,14 @@ class Motion:
         commanded_ns: When the command was given.
         moved_ns: When the motion and its settling had ended.
         pulses: Trigger pulses given, for sweeps.
+        started_ns: When the mirror began to move, where the driver can tell: never later than it did.
     """
 
     step: int
     commanded_ns: int
     moved_ns: int
     pulses: int = 0
+    started_ns: int | None = None
 
 
 @runtime_checkable

@@ -5,10 +5,12 @@ A plan that needs an ability the device lacks is refused before anything moves, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
 from scanhsi.devices.actuator import Motion
+from scanhsi.devices.camera import Exposure
 from scanhsi.devices.errors import UnsupportedFeature
 
 
@@ -131,7 +133,32 @@ class OverlapsReadout(Protocol):
         ...
 
 
-CAPABILITIES: tuple[type, ...] = (Sweeps, HardwareTriggered, FreeRunning, OverlapsReadout)
+@runtime_checkable
+class TellsStart(Protocol):
+    """An actuator that tells when its motions begin: ``Motion.started_ns`` of `move_to` is set."""
+
+    def least_latency_s(self) -> float:
+        """Shortest time from the call of ``move_to`` to the begin of its motion, sure beforehand: the command's time on the wire.
+
+        0 where nothing is sure.
+        """
+        ...
+
+
+@runtime_checkable
+class ForetellsEnd(Protocol):
+    """A camera that tells the end of an exposure while it lasts."""
+
+    async def expose_foretold(self, foretold: Callable[[int], None]) -> Exposure:
+        """As ``expose``, and tell the end of the exposure as soon as the camera has the trigger.
+
+        Args:
+            foretold: Called once, in the event loop, with the ``end_ns`` that will be returned.
+        """
+        ...
+
+
+CAPABILITIES: tuple[type, ...] = (Sweeps, TellsStart, HardwareTriggered, FreeRunning, OverlapsReadout, ForetellsEnd)
 
 _C = TypeVar("_C")
 

@@ -1,15 +1,17 @@
 """Control: move the mirror and expose. One function a mode, over the same devices.
 
 In the step modes the mirror is told to move only after ``Camera.expose`` has returned, which is the end of the exposure: that
-sequence is the interlock which keeps the mirror still from trigger to end of exposure.
+sequence is the interlock which keeps the mirror still from trigger to end of exposure. Only `look_ahead_and_expose`, which has
+to be asked for, gives it up, for moves that take a while to begin.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 
-from scanhsi.devices import Actuator, Motion, Sweep, Sweeps, require
+from scanhsi.clock import sleep_until_ns
+from scanhsi.devices import Actuator, Camera, ForetellsEnd, Motion, Sweep, Sweeps, TellsStart, require
 from scanhsi.devices.errors import MotionFailed, ProtocolError
 from scanhsi.engine.deadlines import STOP_S, Deadline
 from scanhsi.engine.plan import Mode
@@ -38,7 +40,56 @@ async def step_and_expose(scan: Scan) -> None:
     scan.exposed.put_nowait(None)
 
 
-async def _move(scan: Scan, line: int) -> None:
+async def look_ahead_and_expose(scan: Scan) -> None:
+    """Stepped scans that send each move while the exposure before it is under way, so that the motion begins as that ends.
+
+    Nothing of it is left behind: the move sent ahead is waited for before anything else is done, and cancelled where the exposure
+    fails; the mirror is stopped on every way out of a scan. A line is handed on when it is known whether it was smeared.
+    """
+    scan.records.mirror_step[0] = scan.actuator.position
+    last = scan.course.lines - 1
+    for line in range(last + 1):
+        await _credit(scan, line)
+        if line < last:
+            await _expose_and_move_on(scan, line)
+        else:
+            await _expose(scan, line)
+        scan.exposed.put_nowait(line)
+        if scan.stop.is_set():
+            break
+    scan.exposed.put_nowait(None)
+
+
+async def _expose_and_move_on(scan: Scan, line: int) -> None:
+    foretold: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+    async with asyncio.TaskGroup() as both:
+        moving = both.create_task(_move_ahead(scan, line + 1, foretold), name="move ahead")
+        await _expose(scan, line, foretold.set_result)
+        if not foretold.done():
+            raise ProtocolError(
+                "the camera did not tell the end of the exposure.", device=scan.camera.info.name, line=line
+            )
+    started_ns = moving.result()
+    if started_ns is not None:
+        scan.records.smeared[line] = started_ns < scan.records.stamps["exposure_end"][line]
+
+
+async def _move_ahead(scan: Scan, line: int, foretold: asyncio.Future[int]) -> int | None:
+    """Move to ``line`` so that the motion begins as the exposure ends; return when it began. None: stopped before."""
+    assert scan.latencies is not None
+    await sleep_until_ns(await foretold - scan.latencies.lead_ns())
+    if scan.stop.is_set():
+        return None
+    motion = await _move(scan, line)
+    if motion.started_ns is None:
+        raise ProtocolError(
+            "it did not tell when the motion began.", device=scan.actuator.info.name, operation="move_to", line=line
+        )
+    scan.latencies.add(motion.started_ns - motion.commanded_ns)
+    return motion.started_ns
+
+
+async def _move(scan: Scan, line: int) -> Motion:
     step = int(scan.course.steps[line])
     async with Deadline(scan.deadlines.move_s, f"move_to {step}", device=scan.actuator.info.name, line=line):
         motion = await scan.actuator.move_to(step)
@@ -46,7 +97,10 @@ async def _move(scan: Scan, line: int) -> None:
     stamps = scan.records.stamps
     stamps["commanded"][line] = motion.commanded_ns
     stamps["moved"][line] = motion.moved_ns
+    if motion.started_ns is not None:
+        stamps["started"][line] = motion.started_ns
     scan.records.mirror_step[line] = motion.step
+    return motion
 
 
 def arrived(scan: Scan, motion: Motion, line: int) -> None:
@@ -62,9 +116,10 @@ def arrived(scan: Scan, motion: Motion, line: int) -> None:
         )
 
 
-async def _expose(scan: Scan, line: int) -> None:
-    async with Deadline(scan.deadlines.expose_s, "expose", device=scan.camera.info.name, line=line):
-        exposure = await scan.camera.expose()
+async def _expose(scan: Scan, line: int, foretold: Callable[[int], None] | None = None) -> None:
+    camera = scan.camera
+    async with Deadline(scan.deadlines.expose_s, "expose", device=camera.info.name, line=line):
+        exposure = await (camera.expose() if foretold is None else as_foretelling(camera).expose_foretold(foretold))
     if exposure.index != line:
         raise ProtocolError(
             f"the camera counts this exposure as {exposure.index}.", device=scan.camera.info.name, line=line
@@ -118,6 +173,24 @@ def as_sweeping(actuator: Actuator) -> Sweeps:
         UnsupportedFeature: It cannot.
     """
     return require(actuator, Sweeps, "mode 'continuous'", name=actuator.info.name)
+
+
+def as_telling_start(actuator: Actuator) -> TellsStart:
+    """The actuator as one that tells when its motions begin.
+
+    Raises:
+        UnsupportedFeature: It cannot.
+    """
+    return require(actuator, TellsStart, "look-ahead", name=actuator.info.name)
+
+
+def as_foretelling(camera: Camera) -> ForetellsEnd:
+    """The camera as one that tells the end of an exposure while it lasts.
+
+    Raises:
+        UnsupportedFeature: It cannot.
+    """
+    return require(camera, ForetellsEnd, "look-ahead", name=camera.info.name)
 
 
 async def unless_stopped(scan: Scan, motion: Coroutine[None, None, Motion]) -> Motion | None:

@@ -20,7 +20,8 @@ class Mode(StrEnum):
     SEQUENTIAL = "sequential"
     """Everything in turn, as in the paper: expose, receive, store, move. The baseline."""
     STEPPED = "stepped"
-    """The mirror moves the moment an exposure ends, while that frame is still in transfer. No line is ever smeared or dropped."""
+    """The mirror moves the moment an exposure ends, while that frame is still in transfer. No line is ever dropped, and none
+    smeared unless look-ahead accepts it."""
     CONTINUOUS = "continuous"
     """The mirror sweeps at constant speed. Fastest; a line is smeared by the part of its pitch that passes while it is exposed."""
 
@@ -49,6 +50,13 @@ class ScanPlan(Written):
         gt=0,
         description="Line period of a continuous scan; left out, the shortest safe one.",
     )
+    look_ahead: float | None = Field(
+        default=None,
+        ge=0,
+        le=0.5,
+        description="Stepped scans: send each move early, so that it begins as the exposure ends; the accepted probability that "
+        "a line's begins before, which smears and flags the line. 0 goes only as far as is sure.",
+    )
 
     def model_post_init(self, context: object, /) -> None:
         """Refuse combinations that cannot mean anything."""
@@ -57,6 +65,8 @@ class ScanPlan(Written):
             raise ValueError("step must not be 0: the lines would all be the same")
         if self.period_s is not None and self.mode is not Mode.CONTINUOUS:
             raise ValueError(f"period is for continuous scans only; mode {self.mode} finds its own")
+        if self.look_ahead is not None and self.mode is not Mode.STEPPED:
+            raise ValueError(f"look_ahead is for stepped scans only, not for mode {self.mode}")
 
     def steps(self, normal_step: int) -> NDArray[np.int64]:
         """Mirror step of each line, int64 (lines,)."""
@@ -74,6 +84,7 @@ class Course:
         steps: Mirror step of each line, int64 (lines,).
         angles_rad: Mirror angle of each line from the normal, float64 (lines,).
         period_s: Asked line period of a continuous scan; None for the shortest safe one.
+        look_ahead: Of a stepped scan: accepted probability that a line is smeared by a move sent early; None sends none early.
     """
 
     mode: Mode
@@ -81,6 +92,7 @@ class Course:
     steps: NDArray[np.int64]
     angles_rad: NDArray[np.float64]
     period_s: float | None = None
+    look_ahead: float | None = None
 
     @property
     def lines(self) -> int:

@@ -36,8 +36,18 @@ from scanhsi.devices import (
 )
 from scanhsi.devices.errors import DeviceTimeout, ScanFailed, ScanhsiError
 from scanhsi.engine.cleanup import CleanupStep, clean_up, tell_nevertheless
-from scanhsi.engine.control import arrived, as_sweeping, step_and_expose, sweep_past, unless_stopped
+from scanhsi.engine.control import (
+    arrived,
+    as_foretelling,
+    as_sweeping,
+    as_telling_start,
+    look_ahead_and_expose,
+    step_and_expose,
+    sweep_past,
+    unless_stopped,
+)
 from scanhsi.engine.deadlines import HOME_S, STOP_S, STORE_S, Deadline, deadlines
+from scanhsi.engine.lookahead import Latencies
 from scanhsi.engine.plan import Course, Mode
 from scanhsi.engine.receive import receive_exposed, write_lines
 from scanhsi.engine.report import Progress, ScanReport
@@ -93,6 +103,8 @@ async def run_scan(
         on_progress=on_progress,
     )
     scan.records.mirror_angle_rad[:] = course.angles_rad
+    if course.look_ahead is not None:
+        scan.latencies = Latencies(course.look_ahead, round(as_telling_start(actuator).least_latency_s() * 1e9))
     acquire = await _configure(scan, limits)
     await _open_sink(scan)
     failures = await _to_the_end(scan, acquire)
@@ -155,6 +167,9 @@ def check(course: Course, camera: Camera, actuator: Actuator, limits: Range | No
         as_sweeping(actuator)
         if _sweep_trigger(camera) is Trigger.FREE_RUN:
             _frame_clock(camera)
+    if course.look_ahead is not None:
+        as_telling_start(actuator)
+        as_foretelling(camera)
     return replace(course, settings=settings)
 
 
@@ -215,8 +230,9 @@ async def _acquire_stepping(scan: Scan) -> None:
         return
     arrived(scan, motion, 0)
     await _arm(scan, Trigger.SOFTWARE)
+    control = step_and_expose if scan.latencies is None else look_ahead_and_expose
     async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(step_and_expose(scan), name="control")
+        tasks.create_task(control(scan), name="control")
         tasks.create_task(receive_exposed(scan), name="receive")
         tasks.create_task(write_lines(scan), name="write")
 

@@ -11,6 +11,7 @@ from scanhsi.cube.records import LineRecords
 from scanhsi.cube.sink import LineSink
 from scanhsi.devices import Actuator, Camera
 from scanhsi.engine.deadlines import Deadlines
+from scanhsi.engine.lookahead import Latencies
 from scanhsi.engine.plan import Course
 from scanhsi.engine.report import Progress
 
@@ -75,6 +76,7 @@ class Scan:
             frame without one is dropped and counted.
         stop: Set to finish the line under way and close.
         on_progress: Told at most four times a second.
+        latencies: Of the moves so far, with look-ahead.
         exposed: Lines whose exposure has ended, from control to receive; None ends it.
         filled: Lines to be stored, from receive to write; None ends it.
         handed_over: Released as each line has gone to storage: what a sequential scan waits for.
@@ -92,6 +94,7 @@ class Scan:
     credits: Credits
     stop: asyncio.Event
     on_progress: Callable[[Progress], None] | None = None
+    latencies: Latencies | None = None
     exposed: asyncio.Queue[int | None] = field(default_factory=asyncio.Queue[int | None])
     filled: asyncio.Queue[int | None] = field(default_factory=asyncio.Queue[int | None])
     handed_over: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(0))

@@ -28,6 +28,7 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
         dead_ns=round(camera.dead_time_s() * 1e9) if isinstance(camera, OverlapsReadout) else 0,
         overlap=isinstance(camera, OverlapsReadout),
         buffers=CAMERA_BUFFERS,
+        look_ahead=course.look_ahead is not None,
     )
     reached = bound(starts, delays, course.mode)
     return ScanReport(
@@ -45,6 +46,8 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
         output=scan.sink.output,
         simulated=camera.info.simulated or scan.actuator.info.simulated,
         stopped_early=scan.taken < course.lines,
+        look_ahead=course.look_ahead,
+        smeared=int(records.smeared.sum()),
         missing_reasons=dict(sorted(records.missing.items())),
         stages=stage_times(records.stamps),
     )

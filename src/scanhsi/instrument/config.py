@@ -133,6 +133,12 @@ class ScanDefaults(Written):
     period_s: Annotated[Seconds | None, Field(alias="period", gt=0, description="line period of a continuous scan")] = (
         None
     )
+    look_ahead: Annotated[
+        float | None,
+        Field(
+            ge=0, le=0.5, description="stepped scans: send moves early, with this probability that a line is smeared"
+        ),
+    ] = None
 
 
 class InstrumentConfig(Written):

@@ -42,6 +42,11 @@ def sample_ns(distribution: Distribution, u: Seconds) -> NDArray[np.int64]:
     return np.rint(distribution.sample_s(u) * 1e9).astype(np.int64)
 
 
+def least_s(distribution: Distribution) -> float:
+    """The shortest delay that can be drawn, in seconds."""
+    return float(distribution.sample_s(np.zeros((1, distribution.uniforms)))[0])
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -295,7 +300,7 @@ class Shifted(_Leaf):
 
     @model_validator(mode="after")
     def _never_negative(self) -> "Shifted":
-        lowest = float(self.sample_s(np.zeros((1, self.uniforms)))[0])
+        lowest = least_s(self)
         if lowest < 0:
             raise ValueError(f"moved to a mean of {self.mean} {self.unit} the delay can be {lowest:.3g} s")
         return self

@@ -59,13 +59,24 @@ def exposure_starts(stamps: Stamps) -> NDArray[np.int64]:
 
 
 def delays_of(
-    stamps: Stamps, *, exposure_ns: int, readout_ns: int, dead_ns: int, overlap: bool, buffers: int
+    stamps: Stamps,
+    *,
+    exposure_ns: int,
+    readout_ns: int,
+    dead_ns: int,
+    overlap: bool,
+    buffers: int,
+    look_ahead: bool = False,
 ) -> tuple[NDArray[np.int64], LineDelays]:
     """The device delays that a scan met, for `scanhsi.timing.bounds.bound`.
 
     What the engine or a safety margin added is *not* a device delay: an exposure counts as ``exposure_ns`` even where its end was
     timed with a margin, a copy from when both frame and copier were ready, storing only as far as the next line waited for it. A
     delay that was not stamped counts as 0, which keeps the bound a bound.
+
+    With look-ahead a move counts from the moment the mirror began to move, but not from before the nominal end of the exposure: the
+    bound is the period of an engine that knows every latency beforehand. Where a motion began too early, which flags the line as
+    smeared, the time won by that is granted to the bound.
 
     Args:
         stamps: Of one scan.
@@ -74,6 +85,7 @@ def delays_of(
         dead_ns: Dead time between overlapping exposures.
         overlap: Whether the sensor overlaps exposure and read-out.
         buffers: Frame buffers of the camera.
+        look_ahead: Moves were sent before the exposure had ended.
 
     Returns:
         Measured exposure starts of the lines that were exposed, int64 (n,), and the delays of those lines.
@@ -87,7 +99,7 @@ def delays_of(
     waited_for = np.where(following == _ABSENT, column["stored"], np.minimum(column["stored"], following))
     return column["exposure_start"], LineDelays(
         exposure=np.full(count, exposure_ns, np.int64),
-        actuate=_delay(column["commanded"], column["moved"]),
+        actuate=_delay(_begun(column, exposure_ns) if look_ahead else column["commanded"], column["moved"]),
         trigger=_delay(column["trigger"], column["exposure_start"]),
         transfer=_delay(column["first_byte"], column["received"]),
         copy=_delay(ready, column["copied"]),
@@ -97,6 +109,12 @@ def delays_of(
         overlap=overlap,
         buffers=buffers,
     )
+
+
+def _begun(column: Stamps, exposure_ns: int) -> NDArray[np.int64]:
+    """From when on a move counts, with look-ahead."""
+    ended = np.concatenate(([_ABSENT], column["exposure_start"][:-1] + exposure_ns))[: len(column["started"])]
+    return np.where(column["started"] == _ABSENT, column["commanded"], np.maximum(column["started"], ended))
 
 
 def _delay(first: NDArray[np.int64], last: NDArray[np.int64]) -> NDArray[np.int64]:
