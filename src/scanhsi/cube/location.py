@@ -127,8 +127,14 @@ def object_store(location: Location, *, read_only: bool = True) -> ObjectStore[A
         raise CubeError(f"{location} is a URL, and obstore is not installed.", hint=_INSTALL) from None
     from zarr.storage import ObjectStore
 
-    plain = {"client_options": {"allow_http": True}} if location.text.startswith("http://") else {}
-    settings: dict[str, Any] = {**location.options, **plain, "retry_config": _RETRY}
+    options = dict(location.options)
+    allowed = (
+        options.pop("allow_http", "false").lower() == "true"
+    )  # obstore wants it beside the options, and panics in them
+    plain = allowed or any(text.startswith("http://") for text in (location.text, options.get("endpoint", "")))
+    settings: dict[str, Any] = {**options, "retry_config": _RETRY}
+    if plain:
+        settings["client_options"] = {"allow_http": True}
     try:
         return ObjectStore(from_url(location.text, **settings), read_only=read_only)
     except (BaseError, ValueError, TypeError):
@@ -174,7 +180,7 @@ def _reason(text: str) -> str:
     lowered = text.lower()
     if "credential" in lowered or "169.254.169.254" in lowered:
         return "no credentials were found"
-    if "timed out" in lowered or "timeout" in lowered:
+    if "timed out" in lowered:
         return "the server does not answer in time"
     if "error sending request" in lowered or "connect" in lowered:
         return "no connection to the server"

@@ -42,7 +42,8 @@ def open_cube(
             where two workers never read, or write, one shard. ``None``: no dask: the quickest for looking at a band, a
             spectrum, a colour picture. A mapping of dimension to length: as dask's own.
         storage_options: How to reach the object store, by obstore's names (``endpoint``, ``region``); the environment says the rest
-            (``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_ENDPOINT_URL``, ``AWS_ALLOW_HTTP``).
+            (``AWS_ACCESS_KEY_ID``, ``AWS_SECRET_ACCESS_KEY``, ``AWS_ENDPOINT_URL``, ``AWS_ALLOW_HTTP``). What is given here
+            goes to the workers of a cluster with the work; the environment does not.
 
     Returns:
         Variable ``cube`` (band, line, sample) as it was stored, uint8 or uint16 straight from the camera. Coordinates: ``line`` as
@@ -58,9 +59,9 @@ def open_cube(
     opened = _open(path, storage_options)
     dataset = _dataset(opened)
     if chunks is not None:
-        wanted = _shard_chunks(opened.arrays["cube"]) if chunks == "auto" else dict(chunks)
-        token = (str(opened.location), opened.lines, opened.attributes.get("acquisition"))
-        dataset["cube"] = dataset["cube"].chunk(wanted, token=_token(token))
+        wanted = shard_chunks(opened.arrays["cube"]) if chunks == "auto" else dict(chunks)
+        name = _dask_name(str(opened.location), opened.lines, _acquisition(opened))
+        dataset["cube"] = dataset["cube"].variable.chunk(wanted, name=name)
     return dataset.assign_attrs(
         lines_planned=_planned(opened),
         lines_stored=int(np.count_nonzero(opened.status == LineStatus.STORED)),
@@ -188,6 +189,8 @@ def _open(path: str | Path, storage_options: Mapping[str, str] | None) -> _Opene
         opened = _Opened(location, dict(group.attrs), dict(group.arrays()), np.zeros(0, np.uint8))
     # Status before anything else: what it vouches for is on disk by now. Later reads can only find more.
     opened.status = _reached(opened.read(STATUS.name), finished=_acquisition(opened).get("finished") is not None)
+    if _missing(opened).keys() - _reasons(opened).keys():  # written between the two: a reason comes before its status
+        opened.attributes = dict(_open_group(location).attrs)
     return opened
 
 
@@ -249,10 +252,13 @@ def _variable(opened: _Opened, name: str, array: zarr.Array[Any]) -> xr.Variable
     data: Any = opened.status if name == STATUS.name else indexing.LazilyIndexedArray(opened.stored(name))
     encoding = {"chunks": array.chunks, "shards": array.shards}
     variable = xr.Variable(dimensions, data, dict(array.attrs), encoding)
+    if "quicklook_line" in dimensions:
+        rows = -(-opened.lines // int(str(array.attrs.get("lines_per_pixel", 1))))
+        return variable.isel(quicklook_line=slice(0, rows))
     return variable.isel(line=slice(0, opened.lines)) if "line" in dimensions else variable
 
 
-def _shard_chunks(cube: zarr.Array[Any]) -> dict[str, int]:
+def shard_chunks(cube: zarr.Array[Any]) -> dict[str, int]:
     """Chunks for dask: whole shards, several where they are small; where they are big, some bands, in whole inner chunks."""
     bands, lines, samples = cube.shards or cube.chunks
     size = bands * lines * samples * cube.dtype.itemsize
@@ -261,11 +267,11 @@ def _shard_chunks(cube: zarr.Array[Any]) -> dict[str, int]:
     return {"band": min(share, cube.shape[0]), "line": lines * max(1, _TASK_BYTES // size), "sample": cube.shape[2]}
 
 
-def _token(what: object) -> str:
+def _dask_name(*what: object) -> str:
     """Name of the dask array: the same for the same lines of the same cube, in every process."""
     from dask.base import tokenize
 
-    return str(tokenize(what))
+    return f"cube-{tokenize(*what)}"
 
 
 def _acquisition(opened: _Opened) -> dict[str, Any]:
@@ -278,10 +284,14 @@ def _planned(opened: _Opened) -> int:
     return planned if isinstance(planned, int) else opened.array("cube").shape[1]
 
 
-def _missing(opened: _Opened) -> dict[int, str]:
-    """Reasons of the missing lines. A reason is written before the status: one of a line not reached does not count."""
+def _reasons(opened: _Opened) -> dict[int, str]:
     reasons = opened.attributes.get("missing")
     named = cast("dict[str, object]", reasons) if isinstance(reasons, dict) else {}
-    known = {int(line): str(reason) for line, reason in named.items()}
+    return {int(line): str(reason) for line, reason in named.items()}
+
+
+def _missing(opened: _Opened) -> dict[int, str]:
+    """Reasons of the missing lines. A reason is written before the status: one of a line not reached does not count."""
+    known = _reasons(opened)
     lines = (int(line) for line in np.flatnonzero(opened.status == LineStatus.MISSING))
     return {line: known.get(line, "reason not recorded") for line in lines}

@@ -112,7 +112,8 @@ def _as_json(metadata: ArrayV3Metadata) -> dict[str, Any]:
 def _plain(index: Index, length: int) -> Index:
     """The index without negative numbers and open ends, which tensorstore understands otherwise."""
     if isinstance(index, slice):
-        return slice(*index.indices(length))
+        start, stop, step = index.indices(length)
+        return slice(start, max(start, stop), step)
     if isinstance(index, np.ndarray):
         return np.where(index < 0, index + length, index)
     return int(index) + length if index < 0 else int(index)
