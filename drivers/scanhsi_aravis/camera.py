@@ -206,6 +206,10 @@ class AravisCamera:
 
     async def expose(self) -> Exposure:
         """Trigger one exposure; return at the end of exposure (timed)."""
+        return await self.expose_foretold(lambda end_ns: None)
+
+    async def expose_foretold(self, foretold: Callable[[int], None]) -> Exposure:
+        """Trigger one exposure, tell when it will end once the camera has confirmed it, and return then."""
         armed = self._armed_for("expose")
         if armed.trigger is not Trigger.SOFTWARE:
             raise DeviceError(f"armed for the trigger {armed.trigger}.", device=self._name, operation="expose")
@@ -224,6 +228,7 @@ class AravisCamera:
             _post(loop, armed.trigger_refused, pending)
 
         await self._call(self._session.fire, sent, confirmed, refused)
+        foretold(pending.end_ns)
         await sleep_until_ns(pending.end_ns)
         return Exposure(pending.index, pending.sent_ns, pending.sent_ns, pending.end_ns, timed=True)
 

@@ -37,7 +37,7 @@ _WINDOW_STEPS = 400  # generous width of a home index, for the deadline of homin
 
 
 class StepperActuator:
-    """See `scanhsi.devices.actuator.Actuator` and `scanhsi.devices.capabilities.Sweeps` for the contracts."""
+    """See `scanhsi.devices.actuator.Actuator` for the contract, `scanhsi.devices.capabilities` for `Sweeps` and `TellsStart`."""
 
     def __init__(self, options: StepperOptions) -> None:
         self._options = options
@@ -192,12 +192,17 @@ class StepperActuator:
         self.info.limits.check("step", step, device=self._name)
         commanded, origin = now_ns(), self._position
         self._plan = None
+        goals = [step]
         if self._options.backlash_steps and step < origin:
-            await self._go(link, step - self._options.backlash_steps)
-        await self._go(link, step)
+            goals.insert(0, step - self._options.backlash_steps)
+        started = [await self._go(link, goal) for goal in goals]
         if step != origin:
             await self._settle()
-        return Motion(self._position, commanded, now_ns())
+        return Motion(self._position, commanded, now_ns(), started_ns=started[0])
+
+    def least_latency_s(self) -> float:
+        """The time of the shortest command on the wire."""
+        return self._wire_s(len(encode(1, "MA 0")))
 
     async def stop(self) -> None:
         """Stop whatever moves; return when the mirror stands still."""
@@ -213,10 +218,17 @@ class StepperActuator:
         if abrupt:
             self._lose_position()
 
-    async def _go(self, link: StepperLink, step: int) -> None:
-        profile = self._options.profile
+    async def _go(self, link: StepperLink, step: int) -> int:
+        """Move; return when the motor began: not before the whole command was on the wire, and not later than it can have been."""
+        profile, command = self._options.profile, f"MA {step}"
         await self._use_speed(link, profile.top_speed)
-        await self._run(link, f"MA {step}", step, move_time_s(step - self._position, profile))
+        finished = await self._run(link, command, step, move_time_s(step - self._position, profile))
+        sent_ns = finished.commanded_ns + round(self._wire_s(len(encode(finished.seq, command))) * 1e9)
+        return max(sent_ns, finished.began_ns - round(self._options.reply_late_s * 1e9))
+
+    def _wire_s(self, count: int) -> float:
+        """Time of so many bytes on the wire."""
+        return count * 10 / self._options.baud
 
     async def _run(self, link: StepperLink, command: str, goal: int | None, expected_s: float) -> Finished:
         """Do one motion; `goal` is where it has to end (None = wherever)."""
@@ -251,7 +263,7 @@ class StepperActuator:
     def run_up_s(self, sweep: Sweep) -> float:
         """Time from the call of `sweep` until the mirror passes ``first``: the request on the wire, then the ramp."""
         plan = plan_sweep(sweep, self._options)
-        request_s = len(encode(SEQ_MAX, plan.command)) * 10 / self._options.baud
+        request_s = self._wire_s(len(encode(SEQ_MAX, plan.command)))
         return request_s + _UNDERSTAND_S + plan.run_up_s
 
     async def prepare_sweep(self, sweep: Sweep) -> Motion:

@@ -29,6 +29,7 @@ class Finished:
         triggers: Pulses given; None where the DONE event was lost.
         commanded_ns: When the command was given; loop clock.
         began_ns: When the controller began, estimated from the arrival of its lines.
+        seq: Of the request.
     """
 
     reached: bool
@@ -37,6 +38,7 @@ class Finished:
     triggers: int | None
     commanded_ns: int
     began_ns: int
+    seq: int
 
 
 async def run_motion(link: StepperLink, command: str, expected_s: float, margin_s: float) -> Finished:
@@ -86,14 +88,14 @@ def _from_event(running: Running) -> Finished:
     by_ok = running.confirmed_ns - round(_OK_BYTES * _WIRE_S * 1e9)
     by_done = arrived.at_ns - end.us * 1000 - round(_DONE_BYTES * _WIRE_S * 1e9)
     began = max(min(by_ok, by_done), running.commanded_ns)
-    return Finished(end.code == 0, end.code, end.position, end.triggers, running.commanded_ns, began)
+    return Finished(end.code == 0, end.code, end.position, end.triggers, running.commanded_ns, began, running.seq)
 
 
 def _from_status(link: StepperLink, running: Running, status: Status) -> Finished:
     """The controller stands still and its DONE or FAIL has not come: only DONE is noted in ``done_seq``."""
     reached = status.done_seq == running.seq
     link.counters.done_by_poll += reached
-    return Finished(reached, 0, status.position, None, running.commanded_ns, running.commanded_ns)
+    return Finished(reached, 0, status.position, None, running.commanded_ns, running.commanded_ns, running.seq)
 
 
 async def read_status(link: StepperLink) -> Status:

@@ -141,9 +141,9 @@ def test_a_flag_is_in_the_cube_even_where_the_frame_is_faster_than_the_move(tmp_
     async def main() -> tuple[ScanReport, list[int]]:
         async with open_instrument(config) as imager:
             begun = watched(imager.actuator)
-            plan = default_plan(config, lines=60, exposure="10 ms", mode="stepped", look_ahead=0.2)
+            plan = default_plan(config, lines=30, exposure="10 ms", mode="stepped", look_ahead=0.2)
             report = await imager.scan(plan, tmp_path / "cube.zarr")
-            return report, begun[-59:]
+            return report, begun[-29:]
 
     report, begun = run_virtual(main())
     records = read_records(tmp_path / "cube.zarr")
@@ -177,7 +177,7 @@ def watched(actuator: object) -> list[int]:
     return begun
 
 
-def simulated(look_ahead: float | None, exposure: str, lines: int = 2000) -> tuple[ScanReport, NDArray[np.bool_]]:
+def simulated(look_ahead: float | None, exposure: str, lines: int = 1500) -> tuple[ScanReport, NDArray[np.bool_]]:
     """Report of a scan in virtual time; whether each line was truly smeared. Delays are the same whatever is asked."""
     config = load_instrument("sensors2019", {"camera.scene": "dark"}).with_seed(5)
     sink = KeepingSink()

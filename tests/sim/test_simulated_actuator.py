@@ -304,7 +304,7 @@ def test_it_is_found_by_its_entry_point_and_says_what_it_is() -> None:
 
     assert find(Role.ACTUATOR, "simulated") is actuator_backend
     assert actuator_backend.virtual_time
-    assert actuator_backend.capabilities == ("Sweeps",)
+    assert actuator_backend.capabilities == ("Sweeps", "TellsStart")
     assert all(field.description for field in ActuatorOptions.model_fields.values())
     assert find_profile("sensors2019") == PROFILE
     virtually(main)

@@ -425,7 +425,7 @@ def test_it_says_what_it_is() -> None:
 
 
 def test_abilities_are_those_of_its_class() -> None:
-    assert camera_backend.capabilities == ("HardwareTriggered", "FreeRunning", "OverlapsReadout")
+    assert camera_backend.capabilities == ("HardwareTriggered", "FreeRunning", "OverlapsReadout", "ForetellsEnd")
     plain, overlapping = (camera("ideal", overlap=overlap) for overlap in (False, True))
     assert isinstance(plain, HardwareTriggered)
     assert isinstance(plain, FreeRunning)

@@ -57,7 +57,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Controller]:
 
 def test_backend_is_found_by_its_entry_point_and_can_sweep() -> None:
     assert find(Role.ACTUATOR, "stepper") is backend
-    assert backend.capabilities == ("Sweeps",)
+    assert backend.capabilities == ("Sweeps", "TellsStart")
     assert issubclass(StepperActuator, Sweeps)
     checked_by_pyright: type[Actuator] = StepperActuator
     assert checked_by_pyright is backend.device
@@ -136,6 +136,29 @@ def test_a_move_returns_after_settling_with_stamps(play: Any) -> None:
         assert again.moved_ns - again.commanded_ns < 100_000_000  # it stood still: nothing rings
 
     play(scenario, settle_s=0.5)
+
+
+def test_the_begin_of_a_motion_is_never_told_too_late(play: Any) -> None:
+    """The command's time on the wire at least; more where its confirmations tell that it came through later."""
+
+    async def scenario(actuator: StepperActuator, peer: Controller) -> None:
+        prompt = await actuator.move_to(5)
+        assert prompt.started_ns is not None
+        wire_s = (prompt.started_ns - prompt.commanded_ns) * 1e-9
+        assert actuator.least_latency_s() <= wire_s <= 18 * 10 / 115_200  # >SEQ MA 5*CRC
+        dropped: list[bytes] = []
+
+        def once(data: bytes) -> list[bytes]:
+            dropped.append(data)
+            return [] if len(dropped) == 1 else [data]
+
+        peer.towards_firmware = once
+        late = await actuator.move_to(6)
+        assert late.started_ns is not None
+        told_s = (late.started_ns - late.commanded_ns) * 1e-9
+        assert told_s == pytest.approx(0.25, abs=0.012)  # sent again after the reply timeout; known to 10 ms
+
+    play(scenario, reply_late_s=0.01)
 
 
 def test_limits_are_checked_before_anything_moves(play: Any) -> None:
