@@ -9,14 +9,14 @@ import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scanhsi import clock
-from scanhsi.cube import durable, shards
+from scanhsi.cube import durable
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.reader import cube_summary, open_cube, read_records
 from scanhsi.cube.records import NOT_STAMPED, LineRecords, LineStatus
@@ -48,20 +48,19 @@ def check_cube(path: Path, spec: CubeSpec) -> int:
 @pytest.fixture
 def die_at_write(monkeypatch: pytest.MonkeyPatch) -> Callable[[int | None], list[str]]:
     """``die_at_write(n)``: the n-th file that is written, and every later one, is not; returns the names written."""
-    write = durable.write_durably
+    write = durable.write_whole
     monkeypatch.setattr(durable.os, "fsync", lambda _: None)  # only the order matters here, not the disk
 
     def arm(count: int | None) -> list[str]:
         written: list[str] = []
 
-        def write_or_die(path: Path, data: bytes) -> None:
+        def write_or_die(path: Path, parts: Sequence[memoryview], **how: bool) -> list[Path]:
             if count is not None and len(written) >= count:
                 raise OSError(errno.EIO, "the disk is gone")
             written.append(str(path))
-            write(path, data)
+            return write(path, parts, **how)
 
-        monkeypatch.setattr(durable, "write_durably", write_or_die)
-        monkeypatch.setattr(shards, "write_durably", write_or_die)
+        monkeypatch.setattr(durable, "write_whole", write_or_die)
         return written
 
     return arm
@@ -156,14 +155,14 @@ def test_a_failure_is_raised_once_at_close_when_nobody_was_told(
 @pytest.fixture
 def shard_fails(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The second shard meets a bug, not a disk error."""
-    from scanhsi.cube.shards import CubeFiles
+    from scanhsi.cube.shards import CubeFiles, ShardPixels
 
     write = CubeFiles.write_pixels
 
-    def fail(self: CubeFiles, first: int, rows: object) -> None:
-        if first == 4:
+    def fail(self: CubeFiles, pixels: ShardPixels) -> object:
+        if pixels.first == 4:
             raise ZeroDivisionError("a bug")
-        write(self, first, rows)  # pyright: ignore[reportArgumentType]
+        return write(self, pixels)
 
     monkeypatch.setattr(CubeFiles, "write_pixels", fail)
     return

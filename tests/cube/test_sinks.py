@@ -14,7 +14,7 @@ from scanhsi import clock
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.reader import open_cube
 from scanhsi.cube.records import LineRecords
-from scanhsi.cube.shards import CubeFiles
+from scanhsi.cube.shards import CubeFiles, ShardPixels
 from scanhsi.cube.sink import DiscardSink, LineSink
 from scanhsi.cube.writer import CubeWriter
 from support.cubes import feed, frame, whole
@@ -43,9 +43,9 @@ def held_disk(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     gate = threading.Event()
     write = CubeFiles.write_pixels
 
-    def wait_and_write(self: CubeFiles, first: int, rows: Any) -> None:
+    def wait_and_write(self: CubeFiles, pixels: ShardPixels) -> Any:
         gate.wait(30)
-        write(self, first, rows)
+        return write(self, pixels)
 
     monkeypatch.setattr(CubeFiles, "write_pixels", wait_and_write)
     return gate

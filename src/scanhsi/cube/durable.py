@@ -1,21 +1,28 @@
-"""Files that are on disk, whole, once they have been written.
+"""Files that are whole and on disk once they have been written, and a cube's folder made of them.
 
-zarr's own local store writes a temporary file and renames it, so no reader ever sees half a file; but it never syncs, so a power
-cut may leave a name without its contents. What vouches for something else (`status`) must not do that: here every file and
-every directory entry is synced before the write returns.
+A file is written under another name, synced, and renamed; then the folders whose entries changed are synced. So a name always
+stands for whole contents, whatever happens. Shards are written past the page cache (O_DIRECT) where the file system allows it.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
+import errno
+import fcntl
 import os
+import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
-from zarr.abc.buffer import Buffer
-from zarr.storage import LocalStore
+ALIGNMENT: Final = 4096
+"""Addresses, lengths and offsets of direct writes are multiples of this."""
+
+PARTIAL: Final = ".partial"
+"""Names of files that are being written end in this, and begin with a dot: ``.0.<random>.partial``."""
+
+_MAX_PARTS: Final = 64
 
 
 def write_durably(path: Path, data: bytes | bytearray | memoryview) -> None:
@@ -24,25 +31,66 @@ def write_durably(path: Path, data: bytes | bytearray | memoryview) -> None:
     Raises:
         OSError: The disk is full, or gone; nothing is left behind.
     """
+    for directory in write_whole(path, [memoryview(data)]):
+        sync_directory(directory)
+
+
+def write_whole(path: Path, parts: Sequence[memoryview], *, durable: bool = True, direct: bool = False) -> list[Path]:
+    """Write a file under another name and rename it; returns the folders that must be synced before a power cut is survived.
+
+    Raises:
+        OSError: The disk is full, or gone, or with ``direct`` does not know direct writes (EINVAL); nothing is left behind.
+    """
     changed = _make_directories(path.parent)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}{PARTIAL}")
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
+        _write(temporary, parts, durable=durable, direct=direct)
         temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
-    for directory in changed:
-        sync_directory(directory)
+    return changed
+
+
+def _write(path: Path, parts: Sequence[memoryview], *, durable: bool, direct: bool) -> None:
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | (os.O_DIRECT if direct else 0)
+    descriptor = os.open(path, flags, 0o666)
+    try:
+        _write_parts(descriptor, parts, direct=direct)
+        if durable:
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _write_parts(descriptor: int, parts: Sequence[memoryview], *, direct: bool) -> None:
+    rest = [part for part in parts if part.nbytes]
+    offset = 0
+    while rest:
+        written = os.pwritev(descriptor, rest[:_MAX_PARTS], offset)
+        if direct:  # a disk that fills may take a piece of a block; the next write says why
+            written -= written % ALIGNMENT
+        if not written:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        offset += written
+        while rest and written >= rest[0].nbytes:
+            written -= rest.pop(0).nbytes
+        if written:
+            rest[0] = rest[0][written:]
 
 
 def sync_directory(path: Path) -> None:
     """Make the names in a directory durable."""
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync_file(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -64,14 +112,133 @@ def _until_existing(paths: list[Path]) -> Iterator[Path]:
         yield path
 
 
-class DurableStore(LocalStore):
-    """zarr's local store, with every write durable."""
+class LocalDestination:
+    """A cube in a folder; a `scanhsi.cube.destination.Destination`.
 
-    async def set(self, key: str, value: Buffer) -> None:
-        """Write one key; on disk when it returns."""
-        await asyncio.to_thread(self.set_sync, key, value)
+    Args:
+        path: The cube's folder, conventionally ``*.zarr``. Its parent must be there.
+    """
 
-    def set_sync(self, key: str, value: Buffer) -> None:
-        """Write one key from a thread; on disk when it returns."""
-        self._check_writable()
-        write_durably(self.root / key, value.as_numpy_array().data)
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._direct = True  # until the file system refuses
+        self._unsynced: dict[Path, None] = {}
+        self._unsynced_directories: dict[Path, None] = {}
+        self._locked: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Path of the cube."""
+        return str(self.path)
+
+    def create(self, files: Mapping[str, bytes]) -> None:
+        """Build the cube beside its place and rename it."""
+        if self.path.exists() or self.path.is_symlink():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(self.path))
+        if not self.path.parent.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(self.path.parent))
+        building = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex}{PARTIAL}")
+        try:
+            for key, value in files.items():
+                write_durably(building / key, value)
+            self._locked = _lock(building)  # of the folder, not of its name: it is locked when it appears
+            building.rename(self.path)
+            sync_directory(self.path.parent)
+        except OSError as error:
+            self.unlock()
+            if error.errno in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):  # somebody was faster
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(self.path)) from error
+            raise
+        finally:
+            shutil.rmtree(building, ignore_errors=True)
+
+    def lock(self) -> None:
+        """Lock the folder; remove temporary files, which nobody writes any more."""
+        if self._locked is None:
+            self._locked = _lock(self.path)
+            for leftover in self.path.rglob(f".*{PARTIAL}"):
+                leftover.unlink(missing_ok=True)
+
+    def unlock(self) -> None:
+        """Let other writers in."""
+        if self._locked is not None:
+            os.close(self._locked)
+            self._locked = None
+
+    def put(self, key: str, parts: Sequence[memoryview], *, durable: bool) -> None:
+        """Write one file; aligned contents past the page cache, where that is possible and pays."""
+        path = self.path / key
+        changed = self._write(path, parts, durable=durable)
+        if durable:
+            for directory in changed:
+                sync_directory(directory)
+        else:
+            self._unsynced[path] = None
+            self._unsynced_directories |= dict.fromkeys(changed)
+
+    def _write(self, path: Path, parts: Sequence[memoryview], *, durable: bool) -> list[Path]:
+        if self._direct and parts and all(part.nbytes % ALIGNMENT == 0 for part in parts):
+            try:
+                return write_whole(path, parts, durable=durable, direct=True)
+            except OSError as error:
+                if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):
+                    raise
+                self._direct = False
+        return write_whole(path, parts, durable=durable)
+
+    def put_all(self, files: Mapping[str, bytes], *, durable: bool) -> None:
+        """Write files one after another: together they take no less time, the disk's journal is what they wait for."""
+        for key, value in files.items():
+            self.put(key, [memoryview(value)], durable=durable)
+
+    def settle(self) -> None:
+        """Sync every file that was not, then the folders."""
+        files, directories = list(self._unsynced), list(self._unsynced_directories)
+        for path in files:
+            _sync_file(path)
+        for directory in directories:
+            sync_directory(directory)
+        self._unsynced.clear()
+        self._unsynced_directories.clear()
+
+    def get(self, key: str) -> bytes | None:
+        """Read a file."""
+        try:
+            return (self.path / key).read_bytes()
+        except FileNotFoundError:
+            return None
+
+    def keys(self, prefix: str) -> list[str]:
+        """Files below a folder, in order."""
+        files = (file for file in (self.path / prefix).rglob("*") if not file.name.endswith(PARTIAL) and file.is_file())
+        return sorted(file.relative_to(self.path).as_posix() for file in files)
+
+    def delete(self, keys: Iterable[str]) -> None:
+        """Remove files, durably; their folders stay."""
+        changed: dict[Path, None] = {}
+        for key in keys:
+            path = self.path / key
+            self._unsynced.pop(path, None)
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
+                changed[path.parent] = None
+        for directory in changed:
+            sync_directory(directory)
+
+    def free_bytes(self) -> int | None:
+        """Of the file system."""
+        existing = self.path if self.path.exists() else self.path.parent
+        return shutil.disk_usage(existing).free
+
+
+def _lock(path: Path) -> int:
+    """Lock a folder for as long as the returned descriptor is open."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EAGAIN, errno.EACCES):
+            os.close(descriptor)
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(path)) from error
+        # a network file system without locks: nobody is kept out, as before
+    return descriptor

@@ -2,11 +2,12 @@
 
 A cube is one Zarr v3 group::
 
-    cube                (band, line, sample)  uint8, uint16 (raw counts) or float32, sharded by lines
+    cube                (band, line, sample)  uint8, uint16, uint32 (raw counts, or sums of them) or float32, sharded by lines
     wavelength          (band)                nm, where calibrated
     time                (line)                wall clock of the start of the exposure
     mirror_step, mirror_angle_rad, frame_id, device_ns, smeared, commanded_ns ... stored_ns     (line)
     status              (line)                0 nothing safe here, 1 stored, 2 missing
+    quicklook           (channel, quicklook_line, quicklook_sample)    where asked for: a picture at an eighth of the size
 
 Every array is created at its planned length and one shard holds whole lines (all bands, all samples), so that a shard is written
 once, whole, and a line is never spread over two files. Within a shard, inner chunks keep a band image, a spectrum and a line all
@@ -17,12 +18,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from scanhsi.cube.binning import NO_BINNING, Binning, sum_type
+from scanhsi.cube.quicklook import QuicklookSpec
 from scanhsi.cube.records import NOT_STAMPED, STAGES, LineStatus
 
 FORMAT: Final = 1
@@ -33,11 +36,24 @@ DIMENSIONS: Final = ("band", "line", "sample")
 _SHARD_BYTES: Final = 48_000_000
 """A shard of raw pixels this big is fast to write and to read, and three of them are the writer's memory."""
 
+_DTYPES: Final = tuple(np.dtype(kind) for kind in (np.uint8, np.uint16, np.uint32, np.float32))
+
 _MAX_SHARD_LINES: Final = 64
 _MIN_SHARD_LINES: Final = 16
 _CHUNK_SAMPLES: Final = 448
 _RESERVED: Final = frozenset(
-    {"Conventions", "ome", "scanhsi_format", "complete", "missing", "clock_offset_ns", "acquisition"}
+    {
+        "Conventions",
+        "ome",
+        "scanhsi_format",
+        "complete",
+        "missing",
+        "clock_offset_ns",
+        "acquisition",
+        "storage",
+        "binning",
+        "resumed",
+    }
 )
 
 
@@ -47,13 +63,15 @@ class CubeSpec:
 
     Args:
         lines: Planned lines.
-        bands: Rows of a frame.
-        samples: Pixels along the slit.
-        dtype: uint8 or uint16; float32 for what is no count any more (reflectance, radiance).
+        bands: Rows of a frame, as the camera sends it.
+        samples: Pixels along the slit, as the camera sends them.
+        dtype: Of the camera's pixels: uint8 or uint16; float32 for what is no count any more (reflectance, radiance).
         significant_bits: Of a pixel: 8, 12, 16; None for float32. Values are never scaled.
         attributes: What the cube says about itself, plain JSON: ``plan``, ``instrument``, ``devices``, ``versions``, ``simulated``.
         wavelength_nm: (bands,) float64 where calibrated.
         pixel_attributes: What the pixels are, instead of raw counts: ``long_name``, ``units``.
+        binning: Neighbours summed before they are stored; `stored` is what becomes of the rest.
+        quicklook: Picture to be written beside the cube; None for none.
 
     Raises:
         ValueError: Sizes, dtype, attributes or wavelengths that cannot be a cube.
@@ -67,19 +85,27 @@ class CubeSpec:
     attributes: Mapping[str, Any] = field(default_factory=dict[str, Any])
     wavelength_nm: NDArray[np.float64] | None = None
     pixel_attributes: Mapping[str, str] = field(default_factory=dict[str, str])
+    binning: Binning = NO_BINNING
+    quicklook: QuicklookSpec | None = None
 
     def __post_init__(self) -> None:
         if min(self.lines, self.bands, self.samples) < 1:
             raise ValueError(f"a cube needs at least one line, band and sample, not {self.shape}")
         dtype, bits = np.dtype(self.dtype), self.significant_bits
-        if dtype not in (np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32)):
-            raise ValueError(f"a cube holds uint8, uint16 or float32, not {dtype}")
+        if dtype.newbyteorder("=") not in _DTYPES:
+            raise ValueError(f"a cube holds uint8, uint16, uint32 or float32, not {dtype}")
         if bits is not None if dtype.kind == "f" else bits is None or not 1 <= bits <= 8 * dtype.itemsize:
             raise ValueError(f"{dtype} cannot have {bits} significant bits")
         if self.wavelength_nm is not None and np.shape(self.wavelength_nm) != (self.bands,):
             raise ValueError(f"wavelength_nm must have shape ({self.bands},), not {np.shape(self.wavelength_nm)}")
         if taken := _RESERVED & set(self.attributes):
             raise ValueError(f"attributes {sorted(taken)} are written by the cube itself")
+        if self.binning.bands > self.bands or self.binning.samples > self.samples:
+            raise ValueError(f"bins of {self.binning.bands} bands and {self.binning.samples} samples exceed the frame")
+        if self.binning.factor > 1 and bits is None:
+            raise ValueError("binning sums counts; float32 is none")
+        if self.quicklook is not None and self.quicklook.weights.shape != (len(self.quicklook.channels), self.bands):
+            raise ValueError(f"quicklook weights must have shape ({len(self.quicklook.channels)}, {self.bands})")
         json.dumps(dict(self.attributes), allow_nan=False)  # refuse now what could not be stored later
 
     @property
@@ -88,8 +114,36 @@ class CubeSpec:
         return (self.bands, self.lines, self.samples)
 
     @property
+    def stored(self) -> CubeSpec:
+        """What is on disk: this, after binning. A wavelength is the mean of its bands; a rest that fills no bin is dropped.
+
+        Raises:
+            ValueError: The sums do not fit 32 bits.
+        """
+        if self.binning.factor == 1:
+            return self
+        assert self.significant_bits is not None
+        bands, samples = self.bands // self.binning.bands, self.samples // self.binning.samples
+        largest = (2**self.significant_bits - 1) * self.binning.factor
+        wavelength = self.wavelength_nm
+        if wavelength is not None:
+            grouped = np.asarray(wavelength, np.float64)[: bands * self.binning.bands]
+            wavelength = grouped.reshape(bands, self.binning.bands).mean(axis=1)
+        return replace(
+            self,
+            bands=bands,
+            samples=samples,
+            dtype=sum_type(largest),
+            significant_bits=largest.bit_length(),
+            wavelength_nm=wavelength,
+            pixel_attributes={"long_name": f"sums of {self.binning.factor} raw camera counts", **self.pixel_attributes},
+            binning=NO_BINNING,
+            quicklook=None,
+        )
+
+    @property
     def line_bytes(self) -> int:
-        """Raw size of one line."""
+        """Raw size of one line, as the camera sends it."""
         return self.bands * self.samples * np.dtype(self.dtype).itemsize
 
 
@@ -111,7 +165,7 @@ class Layout:
         return self.shard[1]
 
 
-def choose_layout(spec: CubeSpec, lines_per_shard: int | None = None) -> Layout:
+def choose_layout(spec: CubeSpec, lines_per_shard: int | None = None, *, whole_frames: bool = False) -> Layout:
     """Shard and inner chunk for a stream of frames.
 
     The writer holds a few shards in memory and a line is safe only once its shard is: big lines get 16 lines a shard, small ones
@@ -119,8 +173,9 @@ def choose_layout(spec: CubeSpec, lines_per_shard: int | None = None) -> Layout:
     a spectrum and a line cost about the same.
 
     Args:
-        spec: The cube.
+        spec: The cube, before binning: it is frames as the camera sends them that are in memory.
         lines_per_shard: Instead of the rule: fewer for slow scans that should be safe sooner, more for fewer files.
+        whole_frames: Inner chunks are frames, as raw mode writes them: quick to write, slow to read a band from.
     """
     if lines_per_shard is None:
         lines_per_shard = _MIN_SHARD_LINES
@@ -129,12 +184,15 @@ def choose_layout(spec: CubeSpec, lines_per_shard: int | None = None) -> Layout:
         lines_per_shard = min(lines_per_shard, spec.lines)
     if lines_per_shard < 1:
         raise ValueError(f"lines_per_shard must be at least 1, not {lines_per_shard}")
+    stored = spec.stored
+    if whole_frames:
+        return Layout((stored.bands, lines_per_shard, stored.samples), (stored.bands, 1, stored.samples))
     inner_lines = lines_per_shard
     while inner_lines > 32 and inner_lines % 2 == 0:
         inner_lines //= 2
-    bands = _split(spec.bands, 32 if inner_lines <= 16 else 16)
-    samples = _split(spec.samples, _CHUNK_SAMPLES)
-    shard = (_round_up(spec.bands, bands), lines_per_shard, _round_up(spec.samples, samples))
+    bands = _split(stored.bands, 32 if inner_lines <= 16 else 16)
+    samples = _split(stored.samples, _CHUNK_SAMPLES)
+    shard = (_round_up(stored.bands, bands), lines_per_shard, _round_up(stored.samples, samples))
     return Layout(shard, (bands, inner_lines, samples))
 
 

@@ -1,50 +1,37 @@
-"""Putting shards and records on disk through zarr-python: the part of the writer that runs in threads.
+"""Putting shards and records where they belong: the part of the writer that runs in threads.
 
 `CubeFiles` knows files and arrays, and nothing of slots, lines in flight or event loops; `scanhsi.cube.writer` knows nothing of
-zarr. A faster way to write shards replaces `CubeFiles` and must keep its order: pixels, records, status, each on disk before the
-next begins.
+files. The order is pixels, picture and records, status, each safe before the next begins.
 """
 
 from __future__ import annotations
 
 import errno
-import shutil
-import uuid
-import warnings
+import queue
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
-from zarr.abc.buffer import Buffer
-from zarr.abc.store import Store
-from zarr.codecs import BloscCodec
-from zarr.errors import ZarrUserWarning
-from zarr.storage import MemoryStore
 
-from scanhsi.cube.conventions import root_attributes
-from scanhsi.cube.durable import DurableStore, sync_directory, write_durably
-from scanhsi.cube.layout import (
-    DIMENSIONS,
-    FORMAT,
-    RECORDS,
-    STATUS,
-    WAVELENGTH_ATTRIBUTES,
-    CubeSpec,
-    Layout,
-    LineVariable,
-    cube_attributes,
-)
+from scanhsi.cube.binning import bin_lines
+from scanhsi.cube.buffers import ShardBuffer
+from scanhsi.cube.destination import Destination
+from scanhsi.cube.encoding import Codec, Encoder, encoder, index_bytes
+from scanhsi.cube.layout import RECORDS, STATUS, CubeSpec, Layout, LineVariable
+from scanhsi.cube.metadata import ROOT, Documents, encoded, line_axes, new_cube, set_lines
+from scanhsi.cube.quicklook import QuicklookMaker, QuicklookScale
 from scanhsi.devices.errors import CubeError, CubeExists
-from scanhsi.devices.frames import Pixels
 
-Codec = Literal["lz4", "zstd", "none"]
-"""How pixels are compressed: fast, smaller at 1.6 times the work, not at all."""
+__all__ = ["Codec", "CubeFiles", "Durability", "ShardRecords"]
 
-_BLOSC: Final[dict[str, tuple[Literal["lz4", "zstd"], int, int]]] = {"lz4": ("lz4", 5, 0), "zstd": ("zstd", 1, 262_144)}
+Durability = Literal["every shard", "at close"]
+"""When lines survive a power cut: as their shard is written (a line is not stored before), or when the cube is closed. A killed
+process loses nothing that was stored either way."""
+
+LANES: Final = 2
+"""Shards that are encoded and written at once. Two threads keep two cores and a disk busy; more only compete."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,22 +43,67 @@ class ShardRecords:
         columns: Name of each per-line array -> its values from ``first`` on.
         status: uint8, from ``first`` on.
         missing: Every line missing so far -> reason; None where that has not changed.
+        picture: (channel, row, column) of the quicklook, from ``first`` on; None without one.
     """
 
     first: int
     columns: Mapping[str, NDArray[Any]]
     status: NDArray[np.uint8]
     missing: Mapping[int, str] | None = None
+    picture: NDArray[np.uint16] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShardPixels:
+    """Lines of one shard to be written.
+
+    Attributes:
+        first: First line of the shard.
+        buffer: Its lines from the camera.
+        lost: (lines,) for the lines there are, True where a line has no pixels.
+        stored: (lines, band, sample) of the first lines as they were stored before the cube was resumed; None where all are new.
+    """
+
+    first: int
+    buffer: ShardBuffer
+    lost: NDArray[np.bool_]
+    stored: NDArray[Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Lane:
+    """What one thread needs for itself: an encoder, and room for binned lines where lines are binned."""
+
+    encoder: Encoder
+    binned: ShardBuffer | None
+    picture: QuicklookMaker | None
 
 
 class CubeFiles:
-    """The files of one cube being written. Every method blocks; one call at a time, from any thread."""
+    """The files of one cube being written. Every method blocks; `write_pixels` may run twice at once, the others once."""
 
-    def __init__(self, path: Path, spec: CubeSpec, layout: Layout, codec: Codec = "lz4") -> None:
-        self.path = path
+    def __init__(
+        self,
+        destination: Destination,
+        spec: CubeSpec,
+        layout: Layout,
+        codec: Codec = "lz4",
+        durability: Durability = "every shard",
+    ) -> None:
+        self.destination = destination
         self._spec = spec
+        self._stored = spec.stored
         self._layout = layout
         self._codec: Codec = codec
+        self.durability: Durability = durability
+        self._durable = durability == "every shard"
+        self._documents: Documents = {}
+        self._lanes: queue.SimpleQueue[_Lane] = queue.SimpleQueue()
+
+    @property
+    def name(self) -> str:
+        """Path or URL of the cube."""
+        return self.destination.name
 
     def create(self, attributes: Mapping[str, Any]) -> None:
         """Create the whole group at its planned size, all or nothing: it appears under its name when it is complete.
@@ -80,91 +112,89 @@ class CubeFiles:
             CubeExists: Something is there already; it was not touched.
             CubeError: The folder is missing, not writable, or full.
         """
-        if self.path.exists() or self.path.is_symlink():
-            raise CubeExists(
-                f"{self.path} exists already; nothing was written.", hint="another name, or move it away first"
-            )
-        if not self.path.parent.is_dir():
-            raise CubeError(
-                f"there is no folder {self.path.parent} to write into.", hint=f"mkdir -p {self.path.parent}"
-            )
-        building = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex}.partial")
+        storage = {"codec": self._codec, "durability": self.durability}
+        binning = self._spec.binning
+        head = {"storage": storage, **attributes}
+        if binning.factor > 1:
+            head["binning"] = {"bands": binning.bands, "samples": binning.samples, "operation": "sum"}
+        self._documents, files = new_cube(self._spec, self._layout, self._codec, head)
         try:
-            for key, value in self._metadata(attributes).items():
-                write_durably(building / key, value.as_numpy_array().data)
-            building.rename(self.path)
-            sync_directory(self.path.parent)
+            self.destination.create({**files, **encoded(self._documents)})
+        except FileExistsError as error:
+            raise CubeExists(
+                f"{self.name} exists already; nothing was written.", hint="another name, or move it away first"
+            ) from error
+        except NotADirectoryError as error:
+            folder = self.name.rpartition("/")[0]
+            raise CubeError(f"there is no folder {folder} to write into.", hint=f"mkdir -p {folder}") from error
         except OSError as error:
-            if error.errno in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):  # somebody was faster
-                raise _exists(self.path) from error
-            raise disk_error(self.path, error, needed=0) from error
-        finally:
-            shutil.rmtree(building, ignore_errors=True)
-        self._open()
+            raise disk_error(self.destination, error, needed=0) from error
+        self._make_lanes()
 
-    def _metadata(self, attributes: Mapping[str, Any]) -> dict[str, Buffer]:
-        """The files of the empty cube: key -> contents."""
-        files: dict[str, Buffer] = {}
-        store = MemoryStore(files)
-        spec, layout = self._spec, self._layout
-        head = {**root_attributes(), "scanhsi_format": FORMAT, **spec.attributes, **attributes}
-        group = zarr.create_group(store, attributes={**head, "complete": False, "missing": {}})
-        if spec.wavelength_nm is not None:
-            group.create_array(
-                "wavelength",
-                data=np.asarray(spec.wavelength_nm, np.float64),
-                chunks=(spec.bands,),
-                compressors=None,
-                dimension_names=("band",),
-                attributes=dict(WAVELENGTH_ATTRIBUTES),
+    def reopen(self, documents: Documents, attributes: Mapping[str, Any]) -> None:
+        """Make an interrupted cube, which is locked, ready to go on: its planned size again, and not complete.
+
+        Raises:
+            CubeError: It cannot be written.
+        """
+        self._documents = documents
+        set_lines(documents, self._spec.lines)
+        self._annotate(attributes)
+        self._write_metadata()
+        self._make_lanes()
+
+    def allocate(self) -> ShardBuffer:
+        """A slot: memory for the lines of one shard as the camera sends them."""
+        index = index_bytes(self._layout) if self._codec == "raw" else 0
+        spec = self._spec
+        return ShardBuffer.allocate(
+            self._layout.lines_per_shard, spec.bands, spec.samples, spec.dtype, index_bytes=index
+        )
+
+    def _make_lanes(self) -> None:
+        for _ in range(LANES):
+            self._lanes.put(self._make_lane())
+
+    def _make_lane(self) -> _Lane:
+        spec, stored, layout = self._spec, self._stored, self._layout
+        binned = picture = None
+        if spec.binning.factor > 1:
+            index = index_bytes(layout)
+            binned = ShardBuffer.allocate(
+                layout.lines_per_shard, stored.bands, stored.samples, stored.dtype, index_bytes=index
             )
-        for variable in (*RECORDS, STATUS):
-            self._create_line_array(group, variable)
-        group.create_array(
-            "cube",
-            shape=spec.shape,
-            dtype=np.dtype(spec.dtype),
-            chunks=layout.chunk,
-            shards=layout.shard,
-            compressors=_compressor(self._codec, np.dtype(spec.dtype).itemsize),
-            fill_value=0,
-            dimension_names=DIMENSIONS,
-            attributes=cube_attributes(spec),
-        )
-        _consolidate(store)
-        return files
+        if spec.quicklook is not None:
+            scale = QuicklookScale.choose(layout.lines_per_shard, spec.binning)
+            picture = QuicklookMaker(spec.quicklook, spec.binning, scale)
+        return _Lane(encoder(stored, layout, self._codec), binned, picture)
 
-    def _create_line_array(self, group: zarr.Group, variable: LineVariable) -> None:
-        group.create_array(
-            variable.name,
-            shape=(self._spec.lines,),
-            dtype=variable.dtype,
-            chunks=(self._layout.lines_per_shard,),
-            compressors=None,
-            fill_value=variable.fill,
-            dimension_names=("line",),
-            attributes=dict(variable.attributes),
-        )
-
-    def _open(self) -> None:
-        self._group = zarr.open_group(DurableStore(self.path), mode="r+")
-        # An all-zero chunk is data too: without this zarr would delete it, and "the file is there" would prove nothing.
-        self._arrays = {name: array.with_config({"write_empty_chunks": True}) for name, array in self._group.arrays()}
-
-    def write_pixels(self, first: int, rows: Pixels) -> None:
-        """Write (or write anew, longer) one shard.
-
-        Args:
-            first: First line of the shard.
-            rows: (lines, band, sample).
+    def write_pixels(self, pixels: ShardPixels) -> NDArray[np.uint16] | None:
+        """Write (or write anew, longer) one shard; returns its quicklook, where there is one.
 
         Raises:
             CubeError: It is not on disk; what was there before still is.
         """
+        lane = self._lanes.get()
         try:
-            self._arrays["cube"][:, first : first + len(rows), :] = rows.transpose(1, 0, 2)
+            return self._write_pixels(lane, pixels)
+        finally:
+            self._lanes.put(lane)
+
+    def _write_pixels(self, lane: _Lane, pixels: ShardPixels) -> NDArray[np.uint16] | None:
+        lines = len(pixels.lost)
+        shard = lane.binned or pixels.buffer
+        if lane.binned:
+            bin_lines(pixels.buffer.rows[:lines], self._spec.binning, shard.rows[:lines])
+        if pixels.stored is not None:
+            shard.rows[: len(pixels.stored)] = pixels.stored
+        picture = lane.picture.picture(shard.rows[:lines], pixels.lost) if lane.picture else None
+        parts = lane.encoder.encode(shard, lines, pixels.lost)
+        key = f"cube/c/0/{pixels.first // self._layout.lines_per_shard}/0"
+        try:
+            self.destination.put(key, parts, durable=self._durable)
         except OSError as error:
-            raise disk_error(self.path, error, needed=rows.nbytes) from error
+            raise disk_error(self.destination, error, needed=sum(part.nbytes for part in parts)) from error
+        return picture
 
     def write_records(self, records: ShardRecords) -> None:
         """Write what is known of a shard's lines, then the status that says they are safe.
@@ -172,82 +202,91 @@ class CubeFiles:
         Raises:
             CubeError: The status was not written.
         """
+        shard = records.first // self._layout.lines_per_shard
+        files: dict[str, bytes] = {}
+        if records.missing is not None:
+            self._annotate({"missing": {str(line): reason for line, reason in sorted(records.missing.items())}})
+            files[ROOT] = encoded(self._documents)[ROOT]
+        for variable in RECORDS:
+            files[f"{variable.name}/c/{shard}"] = self._line_chunk(variable, records.columns[variable.name])
+        if records.picture is not None:
+            files[f"quicklook/c/0/{shard}/0"] = self._picture_chunk(records.picture)
         try:
-            if records.missing is not None:
-                self._annotate({"missing": {str(line): reason for line, reason in sorted(records.missing.items())}})
-            for variable in RECORDS:
-                self._write_line_chunk(variable, records.first, records.columns[variable.name])
-            self._write_line_chunk(STATUS, records.first, records.status)
+            self.destination.put_all(files, durable=self._durable)
+            status = self._line_chunk(STATUS, records.status)
+            self.destination.put(f"status/c/{shard}", [memoryview(status)], durable=self._durable)
         except OSError as error:
-            raise disk_error(self.path, error, needed=100_000) from error
+            raise disk_error(self.destination, error, needed=100_000) from error
 
-    def _write_line_chunk(self, variable: LineVariable, first: int, column: NDArray[Any]) -> None:
-        """Write one chunk of a per-line array: uncompressed, so its file is its values.
+    def _line_chunk(self, variable: LineVariable, column: NDArray[Any]) -> bytes:
+        """One chunk of a per-line array: uncompressed, so its file is its values.
 
         Through zarr the 15 arrays of a shard keep the interpreter busy for 20 ms, while the engine wants it; like this, for 7.
         """
-        lines = self._layout.lines_per_shard
-        chunk = np.full(lines, variable.fill, np.dtype(variable.dtype).newbyteorder("<"))
+        chunk = np.full(self._layout.lines_per_shard, variable.fill, np.dtype(variable.dtype).newbyteorder("<"))
         chunk[: len(column)] = column
-        write_durably(self.path / variable.name / "c" / str(first // lines), chunk.tobytes())
+        return chunk.tobytes()
+
+    def _picture_chunk(self, picture: NDArray[np.uint16]) -> bytes:
+        scale = QuicklookScale.choose(self._layout.lines_per_shard, self._spec.binning)
+        rows, columns = scale.shape(self._layout.lines_per_shard, self._stored.samples)
+        chunk = np.zeros((len(picture), rows, columns), "<u2")
+        chunk[:, : picture.shape[1]] = picture
+        return chunk.tobytes()
 
     def finish(self, reached: int, attributes: Mapping[str, Any]) -> None:
-        """Cut the arrays to the lines reached and write the closing attributes.
-
-        Readers take the consolidated metadata in the root, which is replaced last and whole: they see the old sizes or the new.
+        """Cut the arrays to the lines reached and write the closing attributes. With durability ``at close``, sync all first.
 
         Raises:
             CubeError: The cube stays as it was: planned sizes, status telling what is there.
         """
         try:
-            for name in ("cube", STATUS.name, *(variable.name for variable in RECORDS)):
-                _cut(self._arrays[name], reached)
-            self._annotate(attributes)
-            _consolidate(self._group.store)
+            self.destination.settle()
         except OSError as error:
-            raise disk_error(self.path, error, needed=100_000) from error
+            raise disk_error(self.destination, error, needed=0) from error
+        set_lines(self._documents, reached)
+        self._annotate(attributes)
+        self._write_metadata()
+        self._delete_behind(reached)
+
+    def _write_metadata(self) -> None:
+        files = encoded(self._documents)
+        root = files.pop(ROOT)
+        try:
+            self.destination.put_all(files, durable=True)
+            self.destination.put(ROOT, [memoryview(root)], durable=True)
+        except OSError as error:
+            raise disk_error(self.destination, error, needed=100_000) from error
+
+    def _delete_behind(self, reached: int) -> None:
+        """Remove chunks that no status vouches for: of a commit that failed later."""
+        shards = -(-reached // self._layout.lines_per_shard)
+        try:
+            for name, axis in line_axes(self._documents):
+                chunks = ((key, key.split("/")[2 + axis :]) for key in self.destination.keys(f"{name}/c"))
+                self.destination.delete([key for key, at in chunks if at and at[0].isdigit() and int(at[0]) >= shards])
+        except OSError as error:
+            raise disk_error(self.destination, error, needed=0) from error
 
     def _annotate(self, attributes: Mapping[str, Any]) -> None:
-        self._group = self._group.update_attributes(dict(attributes))
+        self._documents[ROOT]["attributes"] |= attributes
 
 
-def _exists(path: Path) -> CubeExists:
-    return CubeExists(f"{path} exists already; nothing was written.", hint="another name, or move it away first")
-
-
-def _cut(array: zarr.Array[Any], lines: int) -> None:
-    shape = (array.shape[0], lines, array.shape[2]) if array.ndim == 3 else (lines,)
-    if shape != array.shape:
-        array.resize(shape)
-
-
-def _compressor(codec: Codec, itemsize: int) -> BloscCodec | None:
-    if codec == "none":
-        return None
-    cname, level, blocksize = _BLOSC[codec]
-    return BloscCodec(cname=cname, clevel=level, shuffle="bitshuffle", typesize=itemsize, blocksize=blocksize)
-
-
-def _consolidate(store: Store) -> None:
-    with warnings.catch_warnings():
-        # It says that consolidated metadata is not in the v3 specification yet. Readers that do not know it ignore it.
-        warnings.filterwarnings("ignore", "Consolidated metadata is currently not part", ZarrUserWarning)
-        zarr.consolidate_metadata(store)
-
-
-def disk_error(path: Path, error: OSError, *, needed: int) -> CubeError:
+def disk_error(destination: Destination, error: OSError, *, needed: int) -> CubeError:
     """An error of the file system, as the user needs to read it.
 
     Args:
-        path: The cube.
+        destination: Of the cube.
         error: What the system said.
         needed: Bytes that were to be written at once, at most; 0 where that is little.
     """
     if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-        return CubeError(f"cannot write {path}: {error.strerror or error}.")
-    free = shutil.disk_usage(path if path.exists() else path.parent).free
-    wanted = f"up to {needed / 1e6:.1f} MB were needed, " if needed else ""
+        return CubeError(f"cannot write {destination.name}: {error.strerror or error}.")
+    wanted = f"up to {needed / 1e6:.1f} MB were needed" if needed else ""
+    free = destination.free_bytes()
+    left = f"{free / 1e6:.1f} MB are free" if free is not None else ""
+    numbers = ", ".join(part for part in (wanted, left) if part)
     return CubeError(
-        f"the disk that holds {path} is full: {wanted}{free / 1e6:.1f} MB are free. Lines stored so far are safe.",
+        f"the disk that holds {destination.name} is full{': ' + numbers if numbers else ''}. Lines stored so far are safe.",
         hint="free some space, or another disk",
     )
