@@ -5,7 +5,8 @@ With S start and E end of exposure, R end of read-out and X reception of frame k
 * ``E_k = S_k + T_exp`` and ``R_k = E_k + T_rd``.
 * The next exposure: ``S_k >= R_(k-1)``, or where it may overlap read-out ``S_k >= max(E_(k-1) + T_dead, R_(k-1) - T_exp)``.
 * The link carries one frame at a time, while the sensor is still being read out:
-  ``X_k = max(max(E_k + t1, X_(k-1)) + T_rx + T_api, R_k)``. The camera's own memory before it is taken as large.
+  ``X_k = max(max(E_k + t1, X_(k-1)) + T_rx + T_api, R_k)``.
+* Before the link is the camera's own memory; a frame that is exposed while it is full is lost.
 * A frame needs a free buffer when its transfer begins, else it is lost, as on a real stream.
 
 All times are integers in ns and follow from each other, not from when the event loop came round to looking: in real time a late
@@ -24,6 +25,9 @@ from scanhsi.devices import CameraSettings, Frame, FrameChannel, FrameGap, Roi
 from scanhsi.timing.delays import DelayStreams, Stream
 from scanhsi_sim.bench import Bench
 from scanhsi_sim.scenes import Image
+
+MEMORY_FRAMES = 16
+"""Frames in the camera's own memory. An assumption, no particular camera's data sheet."""
 
 
 @dataclass(eq=False)
@@ -115,6 +119,7 @@ class Acquisition:
         self._waiting: asyncio.Queue[Shot | FrameGap] = asyncio.Queue()
         self._reported = 0
         self._received_ns = 0
+        self._held = 0
 
     @property
     def index(self) -> int:
@@ -135,7 +140,13 @@ class Acquisition:
         end_ns = start_ns + self._exposure_ns
         shot = Shot(self._take_index(), start_ns, end_ns, end_ns + self.delays.ns("T_rd", self._next - 1))
         self._last = shot
-        self._waiting.put_nowait(shot)
+        if self._held == MEMORY_FRAMES:
+            self._waiting.put_nowait(
+                FrameGap(shot.index, 1, "exposed faster than the link carries: the camera's memory is full")
+            )
+        else:
+            self._held += 1
+            self._waiting.put_nowait(shot)
         return shot
 
     def pulse(self, when_ns: int) -> None:
@@ -177,10 +188,12 @@ class Acquisition:
         await sleep_until_ns(first_byte_ns)
         if not self._free:
             await sleep_until_ns(self._received_ns)
+            self._held -= 1
             return FrameGap(shot.index, 1, "no free buffer")
         self._free -= 1
         frame = self._frame(shot, first_byte_ns)
         await sleep_until_ns(self._received_ns)
+        self._held -= 1
         frame.received_ns = now_ns()
         return frame
 

@@ -25,8 +25,10 @@ from scanhsi.devices import (
     check_settings,
 )
 from scanhsi.devices.errors import DeviceBusy, DeviceError
+from scanhsi.timing.buffers import levelled_period_s, long_run_spread_s
+from scanhsi.timing.delays import DelayStreams
 from scanhsi.timing.replay import delay_streams
-from scanhsi_sim.acquisition import Acquisition, LineDelays, SimulatedFrame
+from scanhsi_sim.acquisition import MEMORY_FRAMES, Acquisition, LineDelays, SimulatedFrame
 from scanhsi_sim.bench import bench
 from scanhsi_sim.options import CameraOptions, find_profile, sends_whole
 from scanhsi_sim.scenes import Geometry, Image, Scene, load_scene
@@ -34,7 +36,9 @@ from scanhsi_sim.scenes import Geometry, Image, Scene, load_scene
 T = TypeVar("T")
 
 _FORMATS = (PixelFormat.MONO8, PixelFormat.MONO12_PACKED, PixelFormat.MONO12)
-_LINK_MARGIN = 1.01  # of a trigger period over the mean time on the link, so that frames do not pile up
+_LEVELLING = MEMORY_FRAMES // 2  # frames of the camera's memory that level the link out; the rest is for the unforeseen
+_SURVEYED = 4096
+_SURVEY_SEED = 2**62  # the link is known as one who has measured it knows it, not from the delays to come
 
 _building = Lock()
 
@@ -212,10 +216,17 @@ class SimulatedCamera:
         await asyncio.wait(tasks)
 
     def shortest_trigger_period_s(self) -> float:
-        """Exposure, read-out and mean transfer, whichever takes longest: the camera's own memory levels the transfers out."""
-        delays = self._delays()
-        link_s = delays.mean_s("T_rx") + delays.mean_s("T_api")
-        return max(self._shortest_period_s(), link_s * _LINK_MARGIN)
+        """Exposure, read-out or transfer, whichever takes longest.
+
+        Transfers may take a little less than the period on average; the camera's own memory levels out their differences.
+        """
+        return max(self._shortest_period_s(), self._link_period_s())
+
+    def _link_period_s(self) -> float:
+        survey = self._delays(streams=delay_streams(self._profile, _SURVEY_SEED, self._options.block_lines))
+        link_ns = np.array([survey.ns("T_rx", line) + survey.ns("T_api", line) for line in range(_SURVEYED)])
+        mean_s = survey.mean_s("T_rx") + survey.mean_s("T_api")
+        return levelled_period_s(mean_s, long_run_spread_s(link_ns), _LEVELLING) if mean_s else 0.0
 
     async def set_frame_period(self, period_s: float) -> float:
         """Set the time between exposures in free run, rounded to whole ns."""
@@ -263,12 +274,12 @@ class SimulatedCamera:
         with _building:
             return _scene(options.scene, geometry, options.seed)
 
-    def _delays(self, settings: CameraSettings | None = None) -> LineDelays:
+    def _delays(self, settings: CameraSettings | None = None, *, streams: DelayStreams | None = None) -> LineDelays:
         settings = settings or self._configured("delays")
         sensor = Roi(0, 0, self._options.samples, self._options.bands)
         sent = sensor if sends_whole(self._options, self._profile) else settings.roi
         assert sent is not None
-        return LineDelays(self._streams, settings, sent, sensor)
+        return LineDelays(streams or self._streams, settings, sent, sensor)
 
     def _configured(self, operation: str) -> CameraSettings:
         if self._settings is None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scanhsi.timing.bounds import LineDelays, bound, earliest_starts, mean_period_ns
+from scanhsi.timing.bounds import LineDelays, bound, earliest, earliest_starts, mean_period_ns
 from scanhsi.timing.observed import delays_of, exposure_starts, stage_times
 
 ABSENT = np.iinfo(np.int64).min
@@ -88,8 +90,8 @@ def test_nothing_beats_the_bound(delays: list[tuple[int, int, int]], lateness: i
     realised = LineDelays(exposure, actuate, base.trigger, transfer, base.copy, base.store, 5_000_000, 0, True, 8)
     late = rng.integers(0, lateness + 1, n)
     slowed = LineDelays(exposure, actuate + late, base.trigger, transfer, base.copy, base.store, 5_000_000, 0, True, 8)
-    measured = earliest_starts(slowed, "stepped")
-    found = bound(measured, realised, "stepped")
+    measured = earliest(slowed, "stepped")
+    found = bound(measured.starts, measured.copied, realised, "stepped")
     assert found is not None
     assert found.regret >= 1.0
 
@@ -147,8 +149,20 @@ def test_lines_without_stamps_are_left_out() -> None:
 
 
 def test_no_bound_for_a_single_line_or_no_delays() -> None:
-    assert bound(np.zeros(1, np.int64), constant(1, exposure=5), "stepped") is None
-    assert bound(np.zeros(5, np.int64), constant(5), "stepped") is None
+    one, five = np.zeros(1, np.int64), np.zeros(5, np.int64)
+    assert bound(one, one, constant(1, exposure=5), "stepped") is None
+    assert bound(five, five, constant(5), "stepped") is None
+    assert bound(five, np.full(5, ABSENT), constant(5, exposure=5), "stepped") is None
+
+
+def test_a_last_line_that_was_lost_does_not_count() -> None:
+    """The scan is compared up to the last line that came."""
+    delays = constant(10, exposure=20, actuate=5, transfer=10)
+    schedule = earliest(delays, "stepped")
+    delivered = np.where(np.arange(10) < 8, schedule.copied, ABSENT)
+    found = bound(schedule.starts, delivered, delays, "stepped")
+    assert found is not None
+    assert found.regret == 1
 
 
 def test_a_slow_link_sets_the_pace_through_the_buffers() -> None:
@@ -173,9 +187,12 @@ def test_a_sweep_ahead_of_the_buffers_is_not_said_to_beat_physics() -> None:
         overlap=True,
         buffers=16,
     )
-    ahead = bound(np.arange(count) * 20_300_000, delays, "continuous")
+    few = replace(delays, buffers=1)
+    starts = np.arange(count) * 20_200_000
+    delivered = 20_000_000 + 29_000_000 * np.arange(1, count + 1)  # the link is never idle
+    ahead = bound(starts, delivered, few, "continuous")
     assert ahead is not None
-    assert ahead.regret == pytest.approx(20.3 / 20.2)
-    kept_up = bound(np.arange(count) * 29_000_000, delays, "continuous")
+    assert ahead.regret == 1, "with one buffer the earliest schedule exposes and transfers in turn"
+    kept_up = bound(starts, delivered, delays, "continuous")
     assert kept_up is not None
-    assert kept_up.period_s > 0.026
+    assert (kept_up.regret, kept_up.period_s) == (1, pytest.approx(0.029))

@@ -16,7 +16,6 @@ from scanhsi.timing.bounds import (
     mean_period_ns,
     price_of_buffers,
     price_of_mode,
-    regret,
 )
 from scanhsi.timing.buffers import buffers_for_stall, longest_lateness_s
 from scanhsi.timing.closed_forms import (
@@ -180,10 +179,6 @@ def test_prices() -> None:
     assert price_of_mode(few, "continuous") == 1
     assert price_of_buffers(replace(few, buffers=2, line_buffers=2), "stepped") == pytest.approx(1.0, abs=1e-3)
     assert price_of_buffers(few, "stepped") == pytest.approx(43.7 / 31.0, rel=0.01)  # one buffer: all but in turn
-
-
-def test_regret_without_anything_to_compare_is_nan() -> None:
-    assert np.isnan(regret(np.zeros(1, np.int64), delays(1, DEVICE, Layout()), "stepped"))
 
 
 @settings(deadline=None)

@@ -17,7 +17,7 @@ from scanhsi.imager import open_instrument
 from scanhsi.instrument import InstrumentConfig
 from scanhsi.instrument.timing import timing_of
 from scanhsi.timing.bounds import Bound, bound
-from scanhsi.timing.observed import exposure_starts
+from scanhsi.timing.observed import delivered, exposure_starts
 
 
 async def cpu_us_per_line(mode: Mode, lines: int) -> float:
@@ -77,6 +77,7 @@ async def stepped_regret(config: InstrumentConfig, lines: int, exposure_s: float
         )
         await run_scan(imager.course(plan), imager.camera, imager.actuator, sink)
     drawn = timing_of(seeded).delays(lines, exposure_s, PixelFormat.MONO8, 1)
-    reached = bound(exposure_starts(sink.records.stamps), drawn, Mode.STEPPED)
+    stamps = sink.records.stamps
+    reached = bound(exposure_starts(stamps), delivered(stamps), drawn, Mode.STEPPED)
     assert reached is not None, "the exposure takes time"
     return reached

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from scanhsi.cube.records import NOT_STAMPED, STAGES, LineRecords
 from scanhsi.devices.errors import CubeError
-from scanhsi.timing.spans import deliveries
+from scanhsi.timing.observed import deliveries
 
 SCHEMA: Final = 1
 OBSERVATIONS: Final = "observations.jsonl"

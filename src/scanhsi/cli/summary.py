@@ -80,7 +80,7 @@ def bound(bound_s: float | None, regret: float | None) -> str | None:
     """How close the scan came to what the same delays allow."""
     if bound_s is None or regret is None:
         return None
-    return f"{duration(bound_s)} a line is the shortest these delays allow; this scan took {regret:.4f} times that"
+    return f"{duration(bound_s)} a line is the shortest these delays allow; the scan took {regret:.4f} times the least"
 
 
 def duration(seconds: float) -> str:

@@ -46,7 +46,7 @@ class ScanReport:
         missing_reasons: line -> reason.
         exposure_s: Exposure time of a line.
         duration_s: First trigger to last line stored (or discarded), loop clock.
-        period_s: Mean line period, from the exposure starts.
+        period_s: Mean line period, between lines delivered; see `scanhsi.timing.observed.deliveries`.
         lines_per_second: 1 / period.
         efficiency: T_exp / T_line (Eq. 3).
         bound_s: Shortest period that the same delays allow in this mode; None where they are not known. With look-ahead: for an

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from scanhsi.cube.records import NOT_STAMPED
 from scanhsi.devices import OverlapsReadout
 from scanhsi.engine.report import ScanReport
 from scanhsi.engine.scan import CAMERA_BUFFERS, Scan
 from scanhsi.timing.bounds import bound, mean_period_ns
-from scanhsi.timing.observed import delays_of, exposure_starts, stage_times
+from scanhsi.timing.observed import delays_of, delivered, deliveries, stage_times
 
 
 def report(scan: Scan, ended_ns: int) -> ScanReport:
@@ -19,8 +20,8 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
     records, course, camera = scan.records, scan.course, scan.camera
     exposure_s = course.settings.exposure_s
     duration_s = max(ended_ns - scan.begun_ns, 0) * 1e-9 if scan.taken else 0.0
-    starts_ns = exposure_starts(records.stamps)
-    period_s = duration_s if len(starts_ns) == 1 else mean_period_ns(starts_ns) * 1e-9
+    arrived_ns = deliveries(records.stamps)
+    period_s = duration_s if len(arrived_ns) == 1 else mean_period_ns(arrived_ns) * 1e-9
     starts, delays = delays_of(
         records.stamps,
         exposure_ns=round(exposure_s * 1e9),
@@ -30,7 +31,8 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
         buffers=CAMERA_BUFFERS,
         look_ahead=course.look_ahead is not None,
     )
-    reached = bound(starts, delays, course.mode)
+    exposed = records.stamps["exposure_start"] != NOT_STAMPED
+    reached = bound(starts, delivered(records.stamps)[exposed], delays, course.mode)
     return ScanReport(
         mode=course.mode,
         lines=course.lines,

@@ -4,7 +4,9 @@ The events of a line (settled, exposure start S and end E, received X, copied C,
 decisions, so its as-soon-as-possible schedule is the least solution of a (max, +) recursion and componentwise earliest: no engine
 can be faster for the same realised delays (Baccelli, Cohen, Olsder, Quadrat, *Synchronization and Linearity*). Hence
 
-    regret = measured period / period of that schedule >= 1.
+    regret = time that the scan took / time of that schedule >= 1,
+
+both from the first exposure to the last line delivered.
 """
 
 from __future__ import annotations
@@ -145,44 +147,43 @@ class Bound:
     """How close a scan came to what its delays allow.
 
     Attributes:
-        period_s: Period of the earliest schedule.
-        regret: Measured period over it, by the theorem at least 1.
+        period_s: Line period of the earliest schedule, between lines delivered.
+        regret: Time from the first exposure to the last line delivered, over that of the earliest schedule; by the theorem at
+            least 1.
     """
 
     period_s: float
     regret: float
 
 
-def bound(starts: Ns, delays: LineDelays, mode: str, *, filling: int = 0) -> Bound | None:
-    """Compare measured exposure starts with the earliest ones for the same delays.
+def bound(starts: Ns, delivered: Ns, delays: LineDelays, mode: str) -> Bound | None:
+    """Compare a scan with the earliest schedule for the same delays.
 
-    None where there is nothing to compare: fewer than two lines, or delays that are all zero.
+    What counts is when lines were delivered, not when they were exposed: with buffers behind it a camera exposes the first lines
+    faster than they can leave it, and a sweep, which has one speed, does not; neither says when the scan is over.
+
+    None where there is nothing to compare: fewer than two lines, none delivered, or delays that are all zero.
 
     Nothing holds a sweep back, so its exposures can run ahead of the host's buffers as long as the camera's own memory takes the
-    frames, or they are lost: a sweep that did so is compared with what the sensor alone allows.
+    frames, or they are lost: a sweep that did so is compared with what it could do with any number of buffers.
 
     Args:
         starts: int64 (n,), measured exposure starts, ns.
+        delivered: int64 (n,), when each of these lines was unpacked in the host's memory, ns; the least int64 where it was lost.
         delays: Of the same lines.
         mode: As in `earliest_starts`.
-        filling: Lines left out at the begin. With 0, all lines count, also those of the filling pipeline, and the theorem holds to
-            the letter. But a sweep has one speed: where the link is the slowest stage, it cannot run ahead until the buffers are
-            full, as the earliest schedule does, and a fair comparison begins behind that, at `LineDelays.buffers` lines or more.
     """
-    measured = mean_period_ns(starts[filling:])
-    shortest = mean_period_ns(earliest_starts(delays, mode)[filling:])
-    if mode == "continuous" and measured < shortest:
-        unbounded = replace(delays, buffers=len(starts) + 1, line_buffers=None)
-        shortest = mean_period_ns(earliest_starts(unbounded, mode)[filling:])
-    if not shortest > 0:
+    arrived = np.flatnonzero(delivered != np.iinfo(np.int64).min)
+    if len(starts) < 2 or not len(arrived):
         return None
-    return Bound(period_s=shortest * 1e-9, regret=measured / shortest)
-
-
-def regret(starts: Ns, delays: LineDelays, mode: str, *, filling: int = 0) -> float:
-    """Measured line period over the shortest that the same delays allow in this mode; nan where `bound` has nothing to compare."""
-    reached = bound(starts, delays, mode, filling=filling)
-    return reached.regret if reached else float("nan")
+    last = int(arrived[-1])
+    measured = int(delivered[last] - starts[0])
+    copied = earliest(delays, mode).copied
+    if mode == "continuous" and measured < copied[last]:
+        copied = earliest(replace(delays, buffers=len(starts) + 1, line_buffers=None), mode).copied
+    if not copied[last] > 0:
+        return None
+    return Bound(period_s=mean_period_ns(copied) * 1e-9, regret=measured / int(copied[last]))
 
 
 def price_of_mode(delays: LineDelays, mode: str) -> float:

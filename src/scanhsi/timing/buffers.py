@@ -1,4 +1,4 @@
-"""How many buffers a scan needs, from the stalls of its storage."""
+"""How many buffers a scan needs, from the stalls of its storage; how close to a stage's mean a sweep may come, from its buffers."""
 
 from __future__ import annotations
 
@@ -32,3 +32,31 @@ def longest_lateness_s(store_ns: NDArray[np.int64], period_s: float) -> float:
         return 0.0
     behind = np.concatenate(([0.0], np.cumsum(np.asarray(store_ns, np.float64) * 1e-9 - period_s)))
     return float(np.max(behind - np.minimum.accumulate(behind)))
+
+
+def levelled_period_s(mean_s: float, spread_s: float, frames: int, *, risk: float = 1e-9) -> float:
+    """Shortest line period at which a queue levels out a stage of random duration: mean + spread^2 ln(1 / risk) / (2 frames mean).
+
+    What waits before the stage is a random walk with a drift of mean - period a line. It ever climbs above ``frames`` times the
+    mean with a probability of at most exp(-2 drift frames mean / spread^2) (Cramer and Lundberg's bound, in the diffusion limit).
+    So a little above the mean is enough, for a scan of any length; without a queue it would have to be a high quantile.
+
+    Args:
+        mean_s: Of the stage's duration.
+        spread_s: Its standard deviation over many lines; see `long_run_spread_s`.
+        frames: That may wait.
+        risk: Probability that a frame finds the queue full.
+    """
+    return mean_s + spread_s**2 * math.log(1 / risk) / (2 * frames * mean_s)
+
+
+def long_run_spread_s(durations_ns: NDArray[np.int64], block: int = 64) -> float:
+    """Standard deviation of sums of durations, for one line: larger than that of single lines where long ones come together.
+
+    Args:
+        durations_ns: In line order, int64 (n,), ns; n should be many blocks.
+        block: Lines over which neighbours have something in common.
+    """
+    whole = len(durations_ns) // block * block
+    sums = durations_ns[:whole].reshape(-1, block).sum(1) * 1e-9
+    return float(sums.std()) / math.sqrt(block)

@@ -17,6 +17,7 @@ from scanhsi.timing.bounds import LineDelays
 Stamps = Mapping[str, NDArray[np.int64]]
 
 _ABSENT = np.iinfo(np.int64).min
+_WARM_UP = 5
 
 _STAGES = {
     "move": ("commanded", "moved"),
@@ -41,10 +42,10 @@ class StageTime:
 def stage_times(stamps: Stamps) -> dict[str, StageTime]:
     """Time per line and stage: move, trigger, exposure, transfer, copy, store, and the whole line.
 
-    ``line`` is the distance of successive exposure starts (of frames received, where no start is known).
+    ``line`` is the distance of successive `deliveries`.
     """
     times = {stage: _elapsed(stamps[first], stamps[last]) for stage, (first, last) in _STAGES.items() if last in stamps}
-    times["line"] = np.diff(exposure_starts(stamps))
+    times["line"] = np.diff(deliveries(stamps))
     return {stage: _summary(values) for stage, values in times.items() if len(values)}
 
 
@@ -56,6 +57,25 @@ def exposure_starts(stamps: Stamps) -> NDArray[np.int64]:
         if len(present):
             return present
     return np.empty(0, np.int64)
+
+
+def delivered(stamps: Stamps) -> NDArray[np.int64]:
+    """When each line was in the host's memory, unpacked where it was, in ns; the least int64 where it never came."""
+    copied = stamps["copied"]
+    return copied if (copied != _ABSENT).any() else stamps["received"]
+
+
+def deliveries(stamps: Stamps) -> NDArray[np.int64]:
+    """When each line that arrived was in the host's memory, unpacked where it was: int64 (n,), ns, in order.
+
+    The time between two of them is what a line costs: *the* line period of reports, ``scanhsi info`` and benchmarks. Exposure
+    starts are no measure of that: a camera with memory of its own takes the first lines faster than they can leave it. The first
+    lines, a quarter but at most 5, are left out: caches are cold, and one frame that comes late there would shorten the mean of
+    all that follow.
+    """
+    times = delivered(stamps)
+    arrived = times[times != _ABSENT]
+    return arrived[min(_WARM_UP, len(arrived) // 4) :]
 
 
 def delays_of(

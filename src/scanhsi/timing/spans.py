@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scanhsi.timing.observed import Stamps
+from scanhsi.timing.observed import Stamps, deliveries
 
 _ABSENT = np.iinfo(np.int64).min
 
@@ -26,7 +26,6 @@ _STAGES = {
 """Stage -> stamps of its begin and end; the order is that in which stages account for a time that several share."""
 
 STAGES = tuple(_STAGES)
-_WARM_UP = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,21 +85,6 @@ class Share:
 
     alone_s: float
     hidden_s: float
-
-
-def deliveries(stamps: Stamps) -> NDArray[np.int64]:
-    """When each line that arrived was in the host's memory, unpacked where it was: int64 (n,), ns, in order.
-
-    The time between two of them is what a line costs. Exposure starts are no measure of that: a camera with memory of its own takes
-    the first lines faster than they can leave it. The first lines, a quarter but at most 5, are left out: caches are cold, and one
-    frame that comes late there would shorten the mean of all that follow.
-    """
-    for stage in ("copied", "received"):
-        column = stamps[stage]
-        arrived = column[column != _ABSENT]
-        if len(arrived):
-            return arrived[min(_WARM_UP, len(arrived) // 4) :]
-    return np.empty(0, np.int64)
 
 
 def shares(stamps: Stamps) -> dict[str, Share]:
