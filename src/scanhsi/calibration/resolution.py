@@ -109,7 +109,8 @@ def _edge(rows: Floats) -> tuple[float, float]:
         if not (total > 0).all():
             raise CalibrationError("there is no edge in some of the rows.")
         centre = (weight * place).sum(axis=1) / total
-        slope, offset = np.linalg.lstsq(np.stack((index, np.ones_like(index)), 1), centre, rcond=None)[0].tolist()
+        line: list[float] = np.linalg.lstsq(np.stack((index, np.ones_like(index)), 1), centre, rcond=None)[0].tolist()
+        slope, offset = line
         reach = max(4.0, 0.15 * rows.shape[1])
         window = np.exp(-0.5 * ((place - (offset + slope * index)[:, None]) / reach) ** 2)
     swing = np.abs(rows[:, : rows.shape[1] // 8].mean() - rows[:, -rows.shape[1] // 8 :].mean())
