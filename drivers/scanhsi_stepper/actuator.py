@@ -192,17 +192,15 @@ class StepperActuator:
         self.info.limits.check("step", step, device=self._name)
         commanded, origin = now_ns(), self._position
         self._plan = None
-        goals = [step]
-        if self._options.backlash_steps and step < origin:
-            goals.insert(0, step - self._options.backlash_steps)
-        started = [await self._go(link, goal) for goal in goals]
+        started = [await self._go(link, goal) for goal in self._goals(step)]
         if step != origin:
             await self._settle()
         return Motion(self._position, commanded, now_ns(), started_ns=started[0])
 
-    def least_latency_s(self) -> float:
-        """The time of the shortest command on the wire."""
-        return self._wire_s(len(encode(1, "MA 0")))
+    def least_latency_s(self, step: int) -> float:
+        """The time that the command needs on the wire."""
+        link = self._connected("least_latency_s")
+        return self._wire_s(len(encode(link.next_seq, f"MA {self._goals(step)[0]}")))
 
     async def stop(self) -> None:
         """Stop whatever moves; return when the mirror stands still."""
@@ -218,13 +216,21 @@ class StepperActuator:
         if abrupt:
             self._lose_position()
 
+    def _goals(self, step: int) -> tuple[int, ...]:
+        """Where to go, one after the other, to get to a step from where the mirror stands."""
+        if self._options.backlash_steps and step < self._position:
+            return step - self._options.backlash_steps, step
+        return (step,)
+
     async def _go(self, link: StepperLink, step: int) -> int:
-        """Move; return when the motor began: not before the whole command was on the wire, and not later than it can have been."""
+        """Move; return the earliest time at which the motor can have begun: its command had come over the wire.
+
+        The controller's own lines would tell it later than it was: a USB bridge keeps them for up to 16 ms, a busy computer longer.
+        """
         profile, command = self._options.profile, f"MA {step}"
         await self._use_speed(link, profile.top_speed)
         finished = await self._run(link, command, step, move_time_s(step - self._position, profile))
-        sent_ns = finished.commanded_ns + round(self._wire_s(len(encode(finished.seq, command))) * 1e9)
-        return max(sent_ns, finished.began_ns - round(self._options.reply_late_s * 1e9))
+        return finished.commanded_ns + round(self._wire_s(len(encode(finished.seq, command))) * 1e9)
 
     def _wire_s(self, count: int) -> float:
         """Time of so many bytes on the wire."""

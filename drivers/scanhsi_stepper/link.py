@@ -166,8 +166,13 @@ class StepperLink(asyncio.Protocol):
         elif not running.end.cancelled():
             running.end.exception()  # seen: no complaint about an exception that was never retrieved
 
+    @property
+    def next_seq(self) -> int:
+        """Sequence number of the next request."""
+        return next_seq(self._seq)
+
     def _take_seq(self) -> int:
-        self._seq = next_seq(self._seq)
+        self._seq = self.next_seq
         return self._seq
 
     async def _exchange(self, seq: int, command: str, attempts: int) -> tuple[str, ...]:

@@ -48,13 +48,6 @@ class StepperOptions(BaseModel):
         default=0.25, gt=0, le=10, description="Time for one reply before it is asked for again."
     )
     reply_attempts: int = Field(default=4, ge=1, le=100, description="How often a request is sent before giving up.")
-    reply_late_s: float = Field(
-        default=0.02,
-        ge=0,
-        le=1,
-        description="By how much a line of the controller may come late, for look-ahead: buffers of the USB bridge (FTDI 16 ms, "
-        "Uno R3 4.1 ms) and the computer. The begin of a motion is known to so much, and never taken later than it can have been.",
-    )
     start_timeout_s: float = Field(
         default=2.5, gt=0, le=60, description="Time for the first answer: opening the port restarts an Arduino."
     )

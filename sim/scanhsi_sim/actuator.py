@@ -107,8 +107,9 @@ class SimulatedActuator:
         await self._arrive(end_ns, step, operation)
         return Motion(step, commanded_ns, now_ns(), started_ns=started_ns)
 
-    def least_latency_s(self) -> float:
-        """The shortest T_rand and T_cmd that the profile can draw."""
+    def least_latency_s(self, step: int) -> float:
+        """The shortest T_rand and T_cmd that the profile can draw, for any step."""
+        del step
         streams: tuple[Stream, ...] = ("T_rand", "T_cmd")
         return sum(least_s(found) for stream in streams if (found := self._profile.distribution(stream)))
 

@@ -51,10 +51,10 @@ def moved_during(bench: Bench) -> list[int]:
 @pytest.mark.parametrize("shape", [0.7, 2.0])
 def test_the_accepted_probability_is_kept_whatever_the_distribution(probability: float, shape: float) -> None:
     drawn = np.random.default_rng(7).gamma(shape, 1e6, 20_000).astype(np.int64)
-    latencies = Latencies(probability, 0)
+    latencies = Latencies(probability)
     early = 0
     for latency in drawn.tolist():
-        early += latency < latencies.lead_ns()
+        early += latency < latencies.lead_ns(0)
         latencies.add(latency)
     spread = 4 * np.sqrt(probability * len(drawn))
     assert early <= probability * len(drawn) + spread
@@ -62,19 +62,19 @@ def test_the_accepted_probability_is_kept_whatever_the_distribution(probability:
 
 
 def test_before_enough_is_known_only_what_is_sure_is_led_by() -> None:
-    latencies = Latencies(0.1, 5)
+    latencies = Latencies(0.1)
     for number in range(8):
-        assert latencies.lead_ns() == 5
+        assert latencies.lead_ns(5) == 5
         latencies.add(100 + number)
     latencies.add(90)
-    assert latencies.lead_ns() == 90  # the shortest of 9, with the tenth of equal chance
+    assert latencies.lead_ns(5) == 90  # the shortest of 9, with the tenth of equal chance
 
 
 def test_latencies_that_change_are_followed() -> None:
-    latencies = Latencies(0.01, 0)
+    latencies = Latencies(0.01)
     for latency in [2_000] * 5000 + [9_000] * 1000:
         latencies.add(latency)
-    assert latencies.lead_ns() == 9_000
+    assert latencies.lead_ns(0) == 9_000
 
 
 # --- what is flagged -------------------------------------------------------------------------------------------------------

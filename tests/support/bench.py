@@ -279,7 +279,7 @@ class BenchActuator:
         self.bench.position = step
         return Motion(step, start, end, started_ns=began)
 
-    def least_latency_s(self) -> float:
+    def least_latency_s(self, step: int) -> float:
         return self.bench.least_latency_ms * 1e-3
 
     async def stop(self) -> None:

@@ -137,8 +137,8 @@ class OverlapsReadout(Protocol):
 class TellsStart(Protocol):
     """An actuator that tells when its motions begin: ``Motion.started_ns`` of `move_to` is set."""
 
-    def least_latency_s(self) -> float:
-        """Shortest time from the call of ``move_to`` to the begin of its motion, sure beforehand: the command's time on the wire.
+    def least_latency_s(self, step: int) -> float:
+        """Shortest time from the call of ``move_to(step)``, now, to the begin of its motion: the command's time on the wire, say.
 
         0 where nothing is sure.
         """

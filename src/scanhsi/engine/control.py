@@ -77,7 +77,9 @@ async def _expose_and_move_on(scan: Scan, line: int) -> None:
 async def _move_ahead(scan: Scan, line: int, foretold: asyncio.Future[int]) -> int | None:
     """Move to ``line`` so that the motion begins as the exposure ends; return when it began. None: stopped before."""
     assert scan.latencies is not None
-    await sleep_until_ns(await foretold - scan.latencies.lead_ns())
+    end_ns = await foretold
+    least_s = as_telling_start(scan.actuator).least_latency_s(int(scan.course.steps[line]))
+    await sleep_until_ns(end_ns - scan.latencies.lead_ns(round(least_s * 1e9)))
     if scan.stop.is_set():
         return None
     motion = await _move(scan, line)

@@ -22,12 +22,10 @@ class Latencies:
 
     Args:
         probability: Accepted, of each line.
-        least_ns: Latency that no move stays below.
     """
 
-    def __init__(self, probability: float, least_ns: int) -> None:
+    def __init__(self, probability: float) -> None:
         self._probability = probability
-        self._least_ns = least_ns
         window = max(_LEAST_WINDOW, math.ceil(10 / probability)) if probability else 1
         self._latest: deque[int] = deque(maxlen=window)  # not all: what a device does may change in a long scan
         self._sorted: list[int] = []
@@ -39,7 +37,11 @@ class Latencies:
         self._latest.append(latency_ns)
         bisect.insort(self._sorted, latency_ns)
 
-    def lead_ns(self) -> int:
-        """By how much to send the next move before the end of the exposure."""
+    def lead_ns(self, least_ns: int) -> int:
+        """By how much to send the next move before the end of the exposure.
+
+        Args:
+            least_ns: Latency that this move does not stay below.
+        """
         rank = math.floor(self._probability * (len(self._sorted) + 1) + 1e-9)
-        return max(self._least_ns, self._sorted[rank - 1] if rank else 0)
+        return max(least_ns, self._sorted[rank - 1] if rank else 0)

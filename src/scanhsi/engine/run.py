@@ -104,7 +104,7 @@ async def run_scan(
     )
     scan.records.mirror_angle_rad[:] = course.angles_rad
     if course.look_ahead is not None:
-        scan.latencies = Latencies(course.look_ahead, round(as_telling_start(actuator).least_latency_s() * 1e9))
+        scan.latencies = Latencies(course.look_ahead)
     acquire = await _configure(scan, limits)
     await _open_sink(scan)
     failures = await _to_the_end(scan, acquire)
