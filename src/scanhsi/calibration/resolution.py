@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,8 +109,8 @@ def _edge(rows: Floats) -> tuple[float, float]:
         if not (total > 0).all():
             raise CalibrationError("there is no edge in some of the rows.")
         centre = (weight * place).sum(axis=1) / total
-        line: list[float] = np.linalg.lstsq(np.stack((index, np.ones_like(index)), 1), centre, rcond=None)[0].tolist()
-        slope, offset = line
+        design = np.stack((index, np.ones_like(index)), axis=1)
+        slope, offset = cast("list[float]", np.linalg.lstsq(design, centre, rcond=None)[0].tolist())
         reach = max(4.0, 0.15 * rows.shape[1])
         window = np.exp(-0.5 * ((place - (offset + slope * index)[:, None]) / reach) ** 2)
     swing = np.abs(rows[:, : rows.shape[1] // 8].mean() - rows[:, -rows.shape[1] // 8 :].mean())
