@@ -42,6 +42,12 @@ ROWS = (
         "`bp.scan`, soft-signal devices, no callbacks; each line is an event document, which the others do not make",
     ),
     Row(
+        "RunEngine, bare messages",
+        "run_engine",
+        "scan_by_messages",
+        "the nine messages of a line from a bare generator: without what bluesky's plan functions cost, which users do use",
+    ),
+    Row(
         "ophyd-async, no RunEngine",
         "run_engine",
         "scan_without_engine",

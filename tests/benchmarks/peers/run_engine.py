@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bluesky.plans as bp
 import numpy as np
 from bluesky.protocols import Movable, Triggerable
 from bluesky.run_engine import RunEngine
+from bluesky.utils import Msg
 from ophyd_async.core import (
     AsyncStatus,
     DetectorAcquireLogic,
@@ -126,6 +129,33 @@ def scan(work: Work, watch: Watch) -> np.ndarray | None:
                 detector = Detector(file, watch)
         engine(bp.scan([detector], mirror, 0, work.lines - 1, work.lines))
     return None if file is None else file.blocks.read()
+
+
+def scan_by_messages(work: Work, watch: Watch) -> None:
+    """The messages of ``bp.scan`` given out by a bare generator: what the plan's own functions cost is left out."""
+    engine = RunEngine()
+    with init_devices():
+        mirror = Mirror()
+        counter = Counter(watch)
+
+    def plan() -> Generator[Msg, Any, None]:
+        yield Msg("stage", counter)
+        yield Msg("open_run")
+        for line in range(work.lines):
+            yield Msg("checkpoint")
+            yield Msg("set", mirror, line, group="set")
+            yield Msg("wait", None, group="set")
+            yield Msg("trigger", counter, group="trigger")
+            yield Msg("wait", None, group="trigger")
+            yield Msg("create", name="primary")
+            yield Msg("read", mirror)
+            yield Msg("read", counter)
+            yield Msg("save")
+        yield Msg("close_run")
+        yield Msg("unstage", counter)
+
+    with watch.running():
+        engine(plan())
 
 
 def scan_without_engine(work: Work, watch: Watch) -> None:
