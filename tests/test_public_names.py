@@ -19,6 +19,8 @@ def test_every_public_name_exists_and_nothing_else_is_promised() -> None:
         "ScanPlan",
         "ScanReport",
         "ScanhsiError",
+        "export_cube",
+        "import_cube",
         "open_cube",
         "open_instrument",
     ]

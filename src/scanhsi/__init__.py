@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from scanhsi.cube import open_cube
+    from scanhsi.cube.exchange import export_cube, import_cube
     from scanhsi.devices.errors import ConfigError, CubeError, DeviceError, ScanFailed, ScanhsiError
     from scanhsi.engine import Mode, Progress, ScanPlan, ScanReport
     from scanhsi.imager import Imager, open_instrument
@@ -32,12 +33,15 @@ __all__ = [
     "ScanPlan",
     "ScanReport",
     "ScanhsiError",
+    "export_cube",
+    "import_cube",
     "open_cube",
     "open_instrument",
 ]
 
 _HOMES = {
     "scanhsi.cube": ("open_cube",),
+    "scanhsi.cube.exchange": ("export_cube", "import_cube"),
     "scanhsi.devices.errors": ("ConfigError", "CubeError", "DeviceError", "ScanFailed", "ScanhsiError"),
     "scanhsi.engine": ("Mode", "Progress", "ScanPlan", "ScanReport"),
     "scanhsi.imager": ("Imager", "open_instrument"),

@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 from typer.rich_utils import rich_format_error
 
 from scanhsi import log
-from scanhsi.cli import bench, delays, drivers, info, predict, quicklook, scan, schema, trace, twin
+from scanhsi.cli import bench, delays, drivers, export, importing, info, predict, quicklook, scan, schema, trace, twin
 from scanhsi.cli.codes import EXIT_CODES, ExitCode
 from scanhsi.cli.output import show_error, write_json
 
@@ -52,7 +52,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog=f"[bold]Exit codes[/]: {EXIT_CODES}.",
 )
-for _command in (scan, info, quicklook, predict, delays, drivers, schema, trace, bench, twin):
+for _command in (scan, info, quicklook, export, importing, predict, delays, drivers, schema, trace, bench, twin):
     _command.register(app)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -28,6 +28,37 @@ def shown(console: Console) -> Generator[Callable[[Progress], None]]:
             yield _at_most_every(_BAR_PERIOD_S, show)
     else:
         yield _at_most_every(_LINE_PERIOD_S, lambda progress: console.print(describe(progress), soft_wrap=True))
+
+
+@contextmanager
+def bytes_shown(console: Console, doing: str) -> Generator[Callable[[int, int], None]]:
+    """Show how far something got that goes through the pixels of a cube: yields what to call with bytes done and to do."""
+    began, due = time.monotonic(), 0.0
+
+    def describe_bytes(done: int, total: int) -> str:
+        passed = max(time.monotonic() - began, 1e-3)
+        left = clock(passed * (total - done) / done) if done else "?"
+        return (
+            f"{doing} {done / max(total, 1):.0%} of {total / 1e6:.0f} MB, {done / passed / 1e6:.0f} MB/s, {left} left"
+        )
+
+    if not console.is_terminal:
+        due = began + _LINE_PERIOD_S  # what is done before that needs no words
+
+    def show(done: int, total: int) -> None:
+        nonlocal due
+        now = time.monotonic()
+        if now < due:
+            return
+        due = now + (_BAR_PERIOD_S if console.is_terminal else _LINE_PERIOD_S)
+        if status is None:
+            console.print(describe_bytes(done, total), soft_wrap=True)
+        else:
+            status.update(describe_bytes(done, total))
+
+    status = console.status(doing) if console.is_terminal else None
+    with status or nullcontext():
+        yield show
 
 
 def describe(progress: Progress) -> str:
