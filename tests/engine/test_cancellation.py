@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,8 @@ import pytest
 from scanhsi.cube.records import LineStatus
 from scanhsi.devices import CameraSettings, PixelFormat
 from scanhsi.devices.errors import DeviceLost, ScanFailed
-from scanhsi.engine import Course, Mode, run_scan
+from scanhsi.engine import Course, Mode, control, run_scan
+from scanhsi.engine.scan import Scan
 from support.bench import Bench, BenchActuator, BenchCamera, MemorySink
 from support.fuzz import Outcome, cancel_everywhere, run_with_cancel_before
 
@@ -26,22 +27,36 @@ class Case:
     mode: Mode
     fail_at: int | None = None
     camera: Callable[[Bench], BenchCamera] = BenchCamera
+    look_ahead: float | None = None
+    latency_ms: tuple[float, ...] = (2.0,)
 
     def __post_init__(self) -> None:
         self.renew()
 
     def renew(self) -> None:
         self.bench = Bench(fail_at=self.fail_at, copy_ms=0.5)
+        if self.look_ahead is not None:
+            self.bench.latency_ms, self.bench.least_latency_ms = self.latency_ms, 2.0
         self.sink = MemorySink(batch=2, capacity=4, store_ms=2.0)
 
     async def scan(self) -> None:
         steps = np.arange(LINES, dtype=np.int64)
         course = Course(self.mode, CameraSettings(0.02, 0.0, PixelFormat.MONO12), steps, steps * 0.1)
+        course = replace(course, look_ahead=self.look_ahead)
         await run_scan(course, self.camera(self.bench), BenchActuator(self.bench), self.sink)
 
     def main(self):
         self.renew()
         return self.scan()
+
+    def moved_unflagged(self) -> list[int]:
+        """Lines in which the mirror moved: any without look-ahead, with it those that were stored and not flagged as smeared."""
+        bench, records = self.bench, self.sink.records
+        moved = bench.moved_while_exposing()
+        lines = [line for line, exposure in enumerate(bench.exposures) if exposure in moved]
+        if self.look_ahead is None:
+            return lines
+        return [line for line in lines if records.status[line] and not records.smeared[line]]
 
     def violations(self, outcome: Outcome) -> list[str]:
         """What does not hold after a run."""
@@ -54,12 +69,54 @@ class Case:
             "the mirror was not stopped": not bench.stopped,
             "the camera is armed": bench.armed,
             "the sink was not closed": sink.opened and not sink.closed,
-            "the mirror moved in an exposure": bool(bench.moved_while_exposing()),
+            "the mirror moved in an exposure": bool(self.moved_unflagged()),
+            "a move goes on": bench.moving,
             "stored lines are not a prefix": stored.tolist() != list(range(len(stored))),
             "a stored line is wrong": any(np.any(sink.pixels[int(line)] != line) for line in stored),
             "the wrong exception": outcome.error is not None and not isinstance(outcome.error, ScanFailed | DeviceLost),
         }
         return [name for name, holds in found.items() if holds]
+
+
+AHEAD = [
+    pytest.param(0.0, (2.0,), id="sure"),
+    pytest.param(0.5, (2.0, 3.0, 2.0), id="accepted"),
+]
+
+
+@pytest.mark.parametrize(("look_ahead", "latency_ms"), AHEAD)
+def test_a_move_sent_ahead_is_never_left_behind(look_ahead: float, latency_ms: tuple[float, ...]) -> None:
+    """Cancelled before every callback, and with every operation failing, and both: while an exposure and a move are under way."""
+    case = Case(Mode.STEPPED, look_ahead=look_ahead, latency_ms=latency_ms)
+    cases = 0
+    for outcome in cancel_everywhere(case.main, again_after=(None, 1, 2, 5, 20)):
+        assert not case.violations(outcome), (outcome, case.violations(outcome))
+        cases += 1
+    assert cases > 250
+    run_with_cancel_before(case.main, None)
+    for number in range(case.bench.operations):
+        failing = Case(Mode.STEPPED, fail_at=number, look_ahead=look_ahead, latency_ms=latency_ms)
+        outcome = run_with_cancel_before(failing.main, None)
+        assert isinstance(outcome.error, ScanFailed | DeviceLost), number
+        assert "pulled the plug" in str(outcome.error)
+        assert not failing.violations(outcome), (number, failing.violations(outcome))
+        for both in cancel_everywhere(failing.main) if number in (4, 6, 8, 10, 12) else ():
+            assert not failing.violations(both), (number, both, failing.violations(both))
+
+
+def test_a_move_left_behind_would_be_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An engine that only starts the move, and does not hold on to it, leaves it going on, and its task."""
+
+    async def loose(scan: Scan, line: int) -> None:
+        foretold: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        moving = asyncio.ensure_future(control._move_ahead(scan, line + 1, foretold))
+        await control._expose(scan, line, foretold.set_result)
+        await moving
+
+    monkeypatch.setattr(control, "_expose_and_move_on", loose)
+    case = Case(Mode.STEPPED, look_ahead=0.0)
+    broken = {name for outcome in cancel_everywhere(case.main) for name in case.violations(outcome)}
+    assert {"a task was left", "a move goes on"} & broken
 
 
 @pytest.mark.parametrize("mode", Mode)

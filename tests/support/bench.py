@@ -53,6 +53,7 @@ class Bench:
     stalls: dict[int, float] = field(default_factory=dict)  # pulse -> ms by which the mirror falls behind there
     least_latency_ms: float = 0.0
     moves: int = 0
+    moving: bool = False  # a call of move_to is under way
     operations: int = 0
     position: int = 7
     homed: bool = True
@@ -274,7 +275,11 @@ class BenchActuator:
         began = min(start + _ns(latency), end)
         if self.bench.move_ms:
             self.bench.motions.append((began, end))
-            await sleep_until_ns(end)
+            self.bench.moving = True
+            try:
+                await sleep_until_ns(end)
+            finally:
+                self.bench.moving = False
         self.bench.operation()
         self.bench.position = step
         return Motion(step, start, end, started_ns=began)
