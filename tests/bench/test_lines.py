@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import pytest
 
 from scanhsi import clock
@@ -16,6 +17,7 @@ from scanhsi.devices import PixelFormat
 from scanhsi.devices.errors import OutOfRange
 from scanhsi.engine import Mode
 from scanhsi.instrument import load_instrument
+from scanhsi.instrument.timing import timing_of
 from scanhsi.timing.spans import shares
 from scanhsi_sim.options import find_profile
 
@@ -54,6 +56,18 @@ def test_overhead_is_the_sum_of_the_profile() -> None:
     assert profile_s(SUM, PixelFormat.MONO8) in law.added
     assert law.added.high - law.added.low < 0.0005
     assert law.r2 > 0.999
+
+
+def test_overhead_has_no_bias(tmp_path: Path) -> None:
+    """Eight times the lines: the interval is narrow enough to tell that a frame which is early waits for its read-out."""
+    sweep = LineSweep(lines=400, formats=[PixelFormat.MONO8], modes=[Mode.SEQUENTIAL], scenarios=[Scenario.FULL])
+    (curve,) = curves(measure("sensors2019", sweep, tmp_path).observations)
+    drawn = timing_of(load_instrument("sensors2019")).delays(100_000, 0.1, PixelFormat.MONO8, 1)
+    waits_s = float(np.maximum(drawn.readout_ns - drawn.transfer, 0).mean()) * 1e-9
+    assert waits_s == pytest.approx(82e-6, rel=0.03)
+    added = curve.law.added
+    assert added.high - added.low < 0.00015
+    assert profile_s(SUM, PixelFormat.MONO8) + waits_s in added
 
 
 def test_efficiency_of_the_paper() -> None:

@@ -36,6 +36,7 @@ def test_the_tables(cli: Cli) -> None:
     assert told.code == 0
     for words in ("derived-from-text, not measured", "1200 lines of 100 ms", "T_exp + T_rand + T_act", "110.9 ms"):
         assert words in told.out, words
+    assert "homing" in told.out
     assert "leaves 64% of the contrast" in told.out
     assert "A period of 200 ms would keep it at 50%." in told.out
     assert "(stepped, Mono8)" in told.out

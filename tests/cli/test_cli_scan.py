@@ -205,3 +205,31 @@ def test_wrong_real_time_options_are_refused(cli: Cli, mini: Path, words: tuple[
     told = cli("scan", mini, "--discard", "--real-time", *words, "--json")
     assert told.code == 2
     assert why in told.object["error"]["message"]
+
+
+def test_a_sweep_that_smears_is_told_once(cli: Cli, mini: Path) -> None:
+    words = ("scan", mini, "--discard", "--virtual", "--mode", "continuous", "--exposure", "20 ms")
+    told = cli(*words, "--period", "25 ms")
+    assert told.err.count("of the contrast") == 1
+    assert "80% of a line" in " ".join(told.err.split())
+    assert "of the contrast" not in cli(*words, "--period", "50 ms").err
+    assert "of the contrast" not in cli("scan", mini, "--discard", "--virtual", "--exposure", "20 ms").err
+
+
+def test_the_speed_is_that_of_lines_delivered(cli: Cli, tmp_path: Path) -> None:
+    """A short scan exposes its lines faster than the link carries them; the report and ``info`` tell the link's pace."""
+    out = tmp_path / "short.zarr"
+    words = (
+        "--virtual",
+        "--lines",
+        "16",
+        "--exposure",
+        "10 ms",
+        "--pixel-format",
+        "Mono12",
+        "--set",
+        "camera.scene=dark",
+    )
+    period_s = cli("scan", "sensors2019", "-o", out, *words, "--json").object["period_s"]
+    assert period_s == pytest.approx(0.039, rel=0.01)
+    assert cli("info", out, "--json").object["period_s"] == pytest.approx(period_s)

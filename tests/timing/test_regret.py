@@ -14,7 +14,7 @@ from scanhsi.engine.scan import CAMERA_BUFFERS
 from scanhsi.imager import default_plan
 from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi.instrument.timing import timing_of
-from scanhsi.timing.bounds import LineDelays, earliest_starts
+from scanhsi.timing.bounds import LineDelays, bound, earliest_starts
 from scanhsi.timing.observed import delays_of, exposure_starts
 from scanhsi.timing.prediction import predict
 from support.bench import Bench, BenchActuator, BenchCamera, MemorySink
@@ -75,7 +75,14 @@ def test_stepped_reaches_its_bound(config: InstrumentConfig, exposure_ms: int, p
 @pytest.mark.parametrize("pixel_format", FORMATS)
 def test_continuous_reaches_its_bound(config: InstrumentConfig, exposure_ms: int, pixel_format: PixelFormat) -> None:
     """With the period that the engine chooses by itself, and without losing a line."""
-    report, _, _ = scan(config, lines=1200, mode="continuous", exposure=f"{exposure_ms} ms", pixel_format=pixel_format)
+    report, sink, _ = scan(
+        config, lines=1200, mode="continuous", exposure=f"{exposure_ms} ms", pixel_format=pixel_format
+    )
+    drawn = timing_of(config).delays(1200, exposure_ms * 1e-3, pixel_format, 2)
+    stamps = sink.records.stamps
+    reached = bound(stamps["exposure_start"], stamps["copied"], drawn, "continuous")
+    assert reached is not None
+    assert 1.0 <= reached.regret <= AT_MOST, "against the delays drawn"
     assert report.missing == 0
     assert report.regret is not None
     assert 1.0 <= report.regret <= AT_MOST

@@ -76,7 +76,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class Regret:
-    """Line period over the shortest that the drawn delays allow.
+    """Time of a scan over the least that the drawn delays allow.
 
     Attributes:
         exposure_s: Of a line.

@@ -188,7 +188,8 @@ def _seconds(text: str) -> float:
     from scanhsi.instrument.quantities import Seconds
 
     try:
-        return float(TypeAdapter(Seconds).validate_python(text.strip()))
+        seconds: TypeAdapter[float] = TypeAdapter(Seconds)
+        return seconds.validate_python(text.strip())
     except ValidationError as error:
         raise typer.BadParameter(f"{text.strip()!r}: {error.errors()[0]['msg']}", param_hint="--exposures") from error
 

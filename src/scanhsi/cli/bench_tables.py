@@ -48,8 +48,9 @@ def engine_tables(reports: list[LoopReport]) -> Iterator[RenderableType]:
     for hogs in dict.fromkeys(report.hogs for report in reports):
         yield _latencies([report for report in reports if report.hogs == hogs])
     yield _regrets(reports)
-    for told in dict.fromkeys(str(report.real_time) for report in reports if report.real_time.asked):
-        yield Text(f"+ with {told}", style="dim")
+    with_options = next((report.real_time for report in reports if report.real_time.asked), None)
+    if with_options is not None:
+        yield Text(f"+ with {with_options}", style="dim")
 
 
 def _latencies(reports: list[LoopReport]) -> Table:
@@ -73,7 +74,8 @@ def _latencies(reports: list[LoopReport]) -> Table:
 def _regrets(reports: list[LoopReport]) -> Table:
     told = reports[0].regret
     title = f"stepped scans of {told.lines} lines of {told.exposure_s * 1e3:g} ms, simulated devices"
-    caption = f"regret: line period / {told.bound_s * 1e3:.2f} ms, the shortest the drawn delays allow; {len(told.runs)} scans each"
+    least = f"{told.bound_s * 1e3:.2f} ms a line"
+    caption = f"regret: time taken / least that the drawn delays allow ({least}); {len(told.runs)} scans each"
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left", caption=caption)
     for column in ("", "loop"):
         table.add_column(column, no_wrap=True)

@@ -145,7 +145,8 @@ def _table(
 
     from scanhsi.cli.summary import duration
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    caption = "scan: first exposure to last line stored; homing and the way to the first line come before it"
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), caption=caption)
     table.add_column("pixel format", no_wrap=True)
     for column in ("period", "lines/s", "efficiency", "scan", "smear"):
         table.add_column(column, justify="right", no_wrap=True)
@@ -170,17 +171,12 @@ def _table(
 
 
 def _warnings(predictions: Sequence[Prediction], exposure_s: float, most_smear: float) -> Iterator[str]:
-    from scanhsi.cli.summary import duration
-    from scanhsi.timing.smear import period_for_smear_s
+    from scanhsi.cli.summary import smear_warning
 
-    smeared = [each for each in predictions if each.smear > most_smear]
-    if smeared:
-        worst = max(smeared, key=lambda each: each.smear)
-        yield (
-            f"continuous: the mirror moves on by up to {worst.smear:.0%} of a line while it is exposed, which leaves "
-            f"{worst.mtf:.0%} of the contrast of the finest detail (Nyquist). A period of "
-            f"{duration(period_for_smear_s(exposure_s, most_smear))} would keep it at {most_smear:.0%}."
-        )
+    sweeps = [each.period_s for each in predictions if each.smear]
+    warning = smear_warning(exposure_s, min(sweeps), most_smear) if sweeps else None
+    if warning:
+        yield warning
 
 
 def _gains(found: Sequence[Gain]) -> RenderableType:

@@ -12,12 +12,15 @@ from rich.table import Table
 from rich.text import Text
 
 from scanhsi.instrument.quantities import format_quantity
+from scanhsi.timing.smear import motion_mtf, period_for_smear_s, smear_part
 
 if TYPE_CHECKING:
     from scanhsi.clock import Granted
     from scanhsi.engine import ScanReport
     from scanhsi.timing.observed import StageTime
 
+MOST_SMEAR = 0.5
+"""Part of a line from which on a sweep's smear is warned of, unless asked otherwise."""
 _MOST_REASONS = 10
 
 
@@ -38,6 +41,7 @@ def scan_summary(report: ScanReport) -> RenderableType:
                 "efficiency": f"{report.efficiency:.1%} of the time exposing {duration(report.exposure_s)} a line"
                 if taken
                 else None,
+                "look-ahead": look_ahead(report.look_ahead, report.smeared),
                 "bound": bound(report.bound_s, report.regret),
                 "real time": _real_time(report.real_time),
             }
@@ -81,6 +85,36 @@ def bound(bound_s: float | None, regret: float | None) -> str | None:
     if bound_s is None or regret is None:
         return None
     return f"{duration(bound_s)} a line is the shortest these delays allow; the scan took {regret:.4f} times the least"
+
+
+def smear_warning(exposure_s: float, period_s: float, most: float = MOST_SMEAR) -> str | None:
+    """What a sweep costs in contrast, where it smears more than ``most`` of a line."""
+    part = smear_part(exposure_s, period_s)
+    if not part > most + 1e-9:
+        return None
+    enough = duration(period_for_smear_s(exposure_s, most))
+    return (
+        f"continuous: the mirror moves on by up to {part:.0%} of a line while it is exposed, which leaves {motion_mtf(part):.0%} "
+        f"of the contrast of the finest detail (Nyquist). A period of {enough} would keep it at {most:.0%}."
+    )
+
+
+def accepted_smear(probability: float, lines: int) -> str:
+    """What look-ahead accepts, said before a scan."""
+    if not probability:
+        return "look-ahead: moves are sent early only as far as is sure; no line is expected to be smeared"
+    return (
+        f"look-ahead: each line is smeared with a probability of up to {probability:.3g}, "
+        f"{probability * lines:.3g} of {lines} lines expected at most; such lines are flagged"
+    )
+
+
+def look_ahead(probability: object, smeared: int) -> Text | None:
+    """What look-ahead accepted, and what came of it; None without look-ahead."""
+    if not isinstance(probability, float | int):
+        return None
+    found = f"{smeared} lines flagged as smeared, accepted was a probability of {probability:.3g} a line"
+    return Text(found, style="yellow" if smeared else "")
 
 
 def duration(seconds: float) -> str:

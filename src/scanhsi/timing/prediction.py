@@ -28,7 +28,7 @@ class Prediction:
         means_period_s: The closed form with the means of all delays, which random delays can only exceed (Jensen).
         lines_per_second: 1 / period.
         efficiency: T_exp / period (Eq. 3).
-        scan_s: First exposure to last line stored.
+        scan_s: First exposure to last line stored; homing and the way to the first line come before it.
         circuit: What sets the pace, by the closed form.
         critical: Its terms.
         smear: Part of a line pitch that passes during an exposure; 0 where the mirror stands.
