@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
@@ -20,7 +19,7 @@ def register(app: typer.Typer) -> None:
 
 
 def info(
-    cube: Annotated[Path, typer.Argument(help="Cube to tell about.")],
+    cube: Annotated[str, typer.Argument(help="Cube to tell about: a folder, or a URL of an object store.")],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Tell what a cube holds: its plan, shape, lines stored and missing, time per stage, efficiency.
@@ -31,7 +30,9 @@ def info(
     from scanhsi.timing.observed import stage_times
 
     summary = cube_summary(cube)
-    stages = stage_times(read_records(cube).stamps) if summary.shape[1] else {}
+    records = read_records(cube) if summary.shape[1] else None
+    stages = stage_times(records.stamps) if records else {}
+    smeared = int(records.smeared.sum()) if records else 0
     period_s = stages["line"].mean_s if "line" in stages else None
     exposure_s = _plan(summary).get("exposure_s")
     efficiency = exposure_s / period_s if period_s and isinstance(exposure_s, float) else None
@@ -42,6 +43,7 @@ def info(
                 "period_s": period_s,
                 "lines_per_second": 1 / period_s if period_s else None,
                 "efficiency": efficiency,
+                "lines_smeared": smeared,
                 "stages": {name: asdict(stage) for name, stage in stages.items()},
             }
         )
@@ -49,7 +51,7 @@ def info(
     from scanhsi.cli.summary import missing_lines, stage_table
 
     console = results()
-    console.print(_facts(summary, period_s, efficiency))
+    console.print(_facts(summary, period_s, efficiency, smeared))
     if stages:
         console.print(stage_table(stages))
     for line in missing_lines(summary.missing_reasons):
@@ -61,10 +63,10 @@ def _plan(summary: CubeSummary) -> dict[str, Any]:
     return cast("dict[str, Any]", plan) if isinstance(plan, dict) else {}
 
 
-def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | None) -> Any:
+def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | None, smeared: int) -> Any:
     from rich.text import Text
 
-    from scanhsi.cli.summary import duration, facts
+    from scanhsi.cli.summary import duration, facts, look_ahead
     from scanhsi.instrument.quantities import format_quantity
 
     bands, lines, samples = summary.shape
@@ -85,6 +87,7 @@ def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | Non
             "exposure": None if exposure_s is None else f"{duration(exposure_s)} at {gain_db:g} dB",
             "speed": None if period_s is None else f"{1 / period_s:.2f} lines/s, {duration(period_s)} a line",
             "efficiency": None if efficiency is None else f"{efficiency:.1%}",
+            "look-ahead": look_ahead(_plan(summary).get("look_ahead"), smeared),
         }
     )
 
@@ -94,5 +97,5 @@ def _bits(summary: CubeSummary) -> str:
 
 
 def _shown_plan(plan: dict[str, Any]) -> dict[str, Any]:
-    elsewhere = ("exposure_s", "gain_db")
+    elsewhere = ("exposure_s", "gain_db", "look_ahead")
     return {key: value for key, value in plan.items() if key not in elsewhere and value is not None}

@@ -58,6 +58,13 @@ def scan(
     delays: Annotated[
         str | None,
         typer.Option(
+    look_ahead: Annotated[
+        str | None,
+        typer.Option(
+            metavar="P",
+            help="Stepped scans: send moves early, accepting this probability (0 to 0.5) that a line is smeared, and flagged.",
+        ),
+    ] = None,
             metavar="PROFILE.json",
             help="Delay profile for simulated devices to spend; one from `scanhsi delays record` is replayed.",
         ),
@@ -117,6 +124,7 @@ async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None, o
     console = messages()
     tell: Callable[[str], None] = console.print
     with interrupts(tell) as interrupt:
+        "look_ahead": look_ahead,
         async with open_instrument(config) as imager:
             with shown(console) as show:
                 interrupt.scanning = True
@@ -130,6 +138,10 @@ async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None, o
                     interrupt.scanning = False
 
 
+    if plan.look_ahead is not None:  # look-ahead accepts smeared lines: say so before, not after
+        from scanhsi.cli.summary import accepted_smear
+
+        tell(accepted_smear(plan.look_ahead, plan.lines))
 def _finish(report: ScanReport, *, as_json: bool) -> None:
     """Tell the report; end with the exit code that it deserves."""
     if as_json:
