@@ -63,6 +63,10 @@ class LineDelays:
         delay = self._streams.delay_ns(stream, line, pixel_format=self._format)
         return delay * self._part // self._whole if stream in ("T_rx", "T_mcpy") else delay
 
+    def received_ns(self, sent_ns: int, read_ns: int) -> int:
+        """When a frame is received that has passed the link at ``sent_ns``: not before it is read out, as recorded ones were."""
+        return sent_ns if self._streams.profile.scans else max(sent_ns, read_ns)
+
     def mean_s(self, stream: Stream) -> float:
         """Mean delay in s."""
         mean = self._streams.profile.mean_s(stream, pixel_format=self._format)
@@ -184,7 +188,7 @@ class Acquisition:
     async def _carry(self, shot: Shot) -> Frame | FrameGap:
         first_byte_ns = max(shot.end_ns + self.delays.ns("t1", shot.index), self._received_ns)
         on_link_ns = self.delays.ns("T_rx", shot.index) + self.delays.ns("T_api", shot.index)
-        self._received_ns = max(first_byte_ns + on_link_ns, shot.read_ns)
+        self._received_ns = self.delays.received_ns(first_byte_ns + on_link_ns, shot.read_ns)
         await sleep_until_ns(first_byte_ns)
         if not self._free:
             await sleep_until_ns(self._received_ns)

@@ -39,7 +39,25 @@ def test_each_stage_from_when_line_and_stage_were_ready() -> None:
         "T_rx": [295, 300, 20],
         "T_mcpy": [100, 30, 40],  # the last waited for the copier until 730
         "T_act": [-1, 50, 70],
+        "T_rand": [-1, 0, 0],
     }
+
+
+def test_a_trigger_waits_for_the_mirror_and_a_buffer_and_then_for_the_host() -> None:
+    """Two line buffers: line 2 is ready when line 0 is stored, at 130, and line 3 when the mirror is there."""
+    lines = recording(
+        moved=[NOT_STAMPED, 50, 100, 150],
+        trigger=[0, 52, 134, 153],
+        exposure_start=[1, 53, 135, 154],
+        copied=[20, 70, 140, 170],
+        stored=[130, 131, 152, 190],
+    )
+    assert measured_ns(lines)["T_trig"].tolist() == [1, 3, 5, 4]
+
+
+def test_a_sequential_scan_tells_what_the_host_takes_from_line_to_line() -> None:
+    found = measured_ns(recording(mode="sequential", commanded=[NOT_STAMPED, 107, 203], copied=[100, 200, 300]))
+    assert found["T_rand"].tolist() == [-1, 7, 3]
 
 
 def test_a_transfer_without_first_byte_counts_from_the_exposure_less_the_queue() -> None:
@@ -96,7 +114,7 @@ def test_profile_of_two_formats() -> None:
     assert profile.mean_s("T_rx", pixel_format="Mono12") == pytest.approx(500e-9)
     assert profile.mean_s("T_act") == pytest.approx(60e-9)
     assert profile.mean_s("T_rand") == profile.mean_s("settle") == profile.mean_s("T_api") == 0
-    assert "not separable" in profile.streams["T_rand"].note
+    assert "not separable" in profile.streams["settle"].note
     assert "motor steps a line: 2" in profile.streams["T_act"].note
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from scanhsi.cli.delays_compare import compare
 from scanhsi.cli.output import messages, results, write_json
 
 if TYPE_CHECKING:
@@ -23,9 +24,10 @@ _SHOWN = 10_240
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    delays = typer.Typer(no_args_is_help=True, help="Record the delays of an instrument, and look at them.")
+    delays = typer.Typer(no_args_is_help=True, help="Record the delays of an instrument, look at them, compare them.")
     delays.command()(record)
     delays.command()(show)
+    delays.command()(compare)
     app.add_typer(delays, name="delays")
 
 

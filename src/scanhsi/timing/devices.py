@@ -155,7 +155,7 @@ class InstrumentTiming:
             buffers=self.layout.buffers,
             event=column(self.camera, "T_ev"),
             first_row_ns=mean_ns("t1"),
-            whole_frame=True,
+            whole_frame=not self.camera.profile.scans,  # a recorded transfer ended with the frame whole
             line_buffers=self.layout.line_buffers,
         )
 

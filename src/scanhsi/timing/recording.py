@@ -27,17 +27,19 @@ _TAIL_KNOTS: Final = 12
 _BY_FORMAT: Final = ("T_rx", "T_mcpy")
 _LAGS: Final = (1, 2, 5, 20)
 _NOTES: Final[dict[Stream, str]] = {
-    "T_trig": "trigger to exposure start",
+    "T_trig": "mirror there and buffers free, to exposure start, wake-up of the host included",
     "T_ev": "end of the nominal exposure until the next move was commanded (stepped: margin and wake-up of the host included), "
     "else until the end that the driver knows",
     "t1": "exposure end to first byte, where the link was free",
     "T_rx": "first byte (else exposure end) to frame received, less the time the link was busy; of frames as they were sent",
     "T_mcpy": "frame received to copied, less the time the copier was busy",
     "T_act": "command to moved, settle and host disturbance included",
+    "T_cmd": "part of T_act: command to the begin of the motion, as early as it can have been",
+    "T_rand": "sequential: line before copied, to move commanded; else 0, part of T_ev, T_trig and T_act",
     "T_store": "a line's even share of the commit that stored it, from when its last line is copied and the commit before is over; "
     "not of sequential scans",
 }
-_WITHIN: Final[dict[Stream, Stream]] = {"T_api": "T_rx", "T_rand": "T_act", "settle": "T_act"}
+_WITHIN: Final[dict[Stream, Stream]] = {"T_api": "T_rx", "settle": "T_act"}
 """Not separable by the stamps: counted as 0, because it is in the other."""
 
 
@@ -69,21 +71,44 @@ def measured_ns(recording: Recording) -> dict[Stream, Ns]:
     link_free, copier_free = _before(received), _before(copied)
     sent = np.where(column["first_byte"] == _ABSENT, end, column["first_byte"])
     nominal = np.where(column["exposure_start"] == _ABSENT, _ABSENT, column["exposure_start"] + recording.exposure_ns)
-    # Stepped, the mirror moves as soon as the host knows that the exposure has ended.
-    known = np.append(column["commanded"][1:], _ABSENT) if recording.mode == "stepped" else end
+    # Stepped, the mirror moves as soon as the host knows that the exposure has ended; with look-ahead it is told before.
+    following = np.append(column["commanded"][1:], _ABSENT)
+    known = np.where(following == _ABSENT, _ABSENT, np.maximum(following, end)) if recording.mode == "stepped" else end
     idle = (end != _ABSENT) & (link_free <= end)
     found: dict[Stream, Ns] = {
-        "T_trig": _delays(column["trigger"], column["exposure_start"]),
+        "T_trig": _delays(_ready(column), column["exposure_start"]),
         "T_ev": _delays(nominal, known),
         "t1": _delays(np.where(idle, end, _ABSENT), column["first_byte"]),
         "T_rx": _delays(np.where(sent == _ABSENT, _ABSENT, np.maximum(sent, link_free)), received),
         "T_mcpy": _delays(np.where(received == _ABSENT, _ABSENT, np.maximum(received, copier_free)), copied),
         "T_act": _delays(column["commanded"], column["moved"]),
+        "T_cmd": _delays(column["commanded"], column["started"]),
     }
-    if recording.mode != "sequential":
-        # A sequential scan waits until a line is handed over, not until it is stored: counted there, storing would be a wait.
+    if recording.mode == "sequential":
+        found["T_rand"] = _delays(_before(copied), column["commanded"])
+    else:
+        found["T_rand"] = np.where(found["T_act"] >= 0, 0, _NONE)
+        # A sequential scan waits until a line is handed over, not until it is stored: storing costs it nothing.
         found["T_store"] = _storing(copied, column["stored"])
     return {stream: delays for stream, delays in found.items() if bool(np.any(delays >= 0))}
+
+
+def _ready(column: Stamps) -> Ns:
+    """When each line could be triggered: the mirror is there, and a buffer free behind it.
+
+    How many buffers there are the stamps tell: as many as were ever in use at a trigger. If there are more, none was waited for.
+    """
+    trigger, ready = column["trigger"], column["moved"]
+    ready = np.where(ready == _ABSENT, trigger, ready)
+    for stage in ("copied", "stored"):
+        done = np.maximum.accumulate(column[stage])
+        line = np.flatnonzero((trigger != _ABSENT) & (done != _ABSENT))
+        behind = line - np.searchsorted(done, trigger[line], "right")
+        in_use = int(behind.max(initial=-1)) + 1
+        if in_use:
+            freed = np.concatenate((np.full(in_use, _ABSENT), done))[: len(done)]
+            ready = np.where(trigger == _ABSENT, _ABSENT, np.maximum(ready, freed))
+    return np.where(trigger == _ABSENT, _ABSENT, np.minimum(ready, trigger))
 
 
 def _storing(copied: Ns, stored: Ns) -> Ns:
