@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 import typer
@@ -16,7 +16,9 @@ def register(app: typer.Typer) -> None:
 
 
 def trace(
-    cube: Annotated[Path, typer.Argument(help="Cube whose scan is to be traced.")],
+    cube: Annotated[
+        str, typer.Argument(help="Cube whose scan is to be traced: a folder, or a URL of an object store.")
+    ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="JSON", help="Trace to write; replaced if it exists.")
     ],
@@ -31,7 +33,8 @@ def trace(
     from scanhsi.timing.trace import write_trace
 
     summary, records = cube_summary(cube), read_records(cube)
-    title = f"SIMULATED scan {cube.name}" if summary.simulated else f"scan {cube.name}"
+    name = PurePosixPath(cube).name
+    title = f"SIMULATED scan {name}" if summary.simulated else f"scan {name}"
     try:
         with output.open("w", encoding="utf-8") as file:
             spans = write_trace(records.stamps, file, title=title, missing=records.missing)
