@@ -150,10 +150,18 @@ def _finish(report: ScanReport, *, as_json: bool) -> None:
         from scanhsi.cli.summary import scan_summary
 
         results().print(scan_summary(report))
+    _warn_of_smear(report)
     if report.stopped_early:
         raise typer.Exit(ExitCode.INTERRUPTED)
     if report.missing:
         raise typer.Exit(ExitCode.SCAN_FAILED)
+
+
+def _warn_of_smear(report: ScanReport) -> None:
+    from scanhsi.cli.summary import smear_warning
+
+    if report.mode == "continuous" and (warning := smear_warning(report.exposure_s, report.period_s)):
+        messages().print(warning, style="yellow")
 
 
 def parsed_settings(settings: Iterable[str]) -> dict[str, object]:
