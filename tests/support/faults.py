@@ -25,7 +25,8 @@ class Fault:
             answer ever comes.
         after: So many changes still go well.
         once: Only the next one fails, the later ones go well again.
-        ops: Which changes count and fail (``write``, ``fsync``, ``rename``, ``create``, ``mkdir``, ``unlink``, ...); all if empty.
+        ops: Which changes count and fail (``write``, ``fsync``, ``rename``, ``create``, ``mkdir``, ``unlink``, ...); all if
+            empty. ``direct`` is opening a file for direct writes, which is no change of its own.
         room: Bytes that may still be written before the disk is full.
         delay_s: What every write takes.
     """
@@ -46,10 +47,12 @@ class Happened:
     Attributes:
         changes: ``<operation> <path>``, those that failed too.
         fired: How many failed.
+        room: Bytes that could still be written.
     """
 
     changes: list[str]
     fired: int
+    room: int
 
 
 class FaultyFs:
@@ -91,7 +94,7 @@ class FaultyFs:
         self._process.stdin.flush()
         told = self._read()
         assert told is not None, "the faulty file system is gone"
-        return Happened(**told)
+        return Happened(told["changes"], told["fired"], told["room"] or 0)
 
     def _read(self) -> dict[str, Any] | None:
         assert self._process.stdout is not None

@@ -34,7 +34,8 @@ class Faults:
     def arm(self, fault: dict[str, Any]) -> dict[str, Any]:
         """Take a new fault, forget the old one; tell what happened meanwhile."""
         with self._lock:
-            told = {"changes": getattr(self, "_log", []), "fired": getattr(self, "_fired", 0)}
+            told = {name: getattr(self, f"_{name}", missing) for name, missing in (("changes", []), ("fired", 0))}
+            told["room"] = getattr(self, "room", None)
             self._ops = frozenset(fault.get("ops") or CHANGES)
             self._after = fault.get("after", 0)
             self._error = fault.get("error")
@@ -44,13 +45,13 @@ class Faults:
             self.delay_s = fault.get("delay_s", 0.0)
             self._count = 0
             self._fired = 0
-            self._log: list[str] = []
+            self._changes: list[str] = []
             return told
 
     def fires(self, op: str, path: str) -> bool:
         """Note a change; whether the fault is to happen at this one. Raises the fault itself, if it is an error."""
         with self._lock:
-            self._log.append(f"{op} {path}")
+            self._changes.append(f"{op} {path}")
             if op not in self._ops or not (self._error or self._kill):
                 return False
             number, self._count = self._count, self._count + 1
@@ -99,41 +100,48 @@ class PassThrough(Operations):
             self._faults.kill()
         return result
 
-    def write(self, path: str, data: bytes, offset: int, fh: int) -> int:
+    def write(self, path: str, data: bytes, offset: int, fi: Any) -> int:
         if self._faults.delay_s:
             time.sleep(self._faults.delay_s)
         fires = self._faults.fires("write", path)
-        written = os.pwrite(fh, data[: len(data) // 2] if fires else data[: self._faults.grant(len(data))], offset)
+        written = os.pwrite(fi.fh, data[: len(data) // 2] if fires else data[: self._faults.grant(len(data))], offset)
         if fires:
             self._faults.kill()
         return written
 
-    def create(self, path: str, mode: int, fi: Any = None) -> int:
-        return self._change(
-            "create", path, lambda: os.open(self._backing + path, os.O_RDWR | os.O_CREAT | os.O_EXCL, mode)
-        )
+    def create(self, path: str, mode: int, fi: Any) -> int:
+        flags = fi.flags | os.O_CREAT
+        fi.fh = self._change("create", path, lambda: self._open(path, flags, mode))
+        return 0
 
-    def open(self, path: str, flags: int) -> int:
-        if flags & (os.O_WRONLY | os.O_RDWR | os.O_TRUNC):
-            return self._change("create", path, lambda: os.open(self._backing + path, flags & ~os.O_DIRECT))
-        return os.open(self._backing + path, flags & ~os.O_DIRECT)
+    def open(self, path: str, fi: Any) -> int:
+        if fi.flags & (os.O_WRONLY | os.O_RDWR | os.O_TRUNC):
+            fi.fh = self._change("create", path, lambda: self._open(path, fi.flags))
+        else:
+            fi.fh = self._open(path, fi.flags)
+        return 0
 
-    def read(self, path: str, size: int, offset: int, fh: int) -> bytes:
-        return os.pread(fh, size, offset)
+    def _open(self, path: str, flags: int, mode: int = 0) -> int:
+        if flags & os.O_DIRECT:
+            self._faults.fires("direct", path)
+        return os.open(self._backing + path, flags & ~os.O_DIRECT, mode)
 
-    def fsync(self, path: str, datasync: int, fh: int) -> int:
+    def read(self, path: str, size: int, offset: int, fi: Any) -> bytes:
+        return os.pread(fi.fh, size, offset)
+
+    def fsync(self, path: str, datasync: int, fi: Any) -> int:
         return self._change("fsync", path, lambda: 0)
 
-    def fsyncdir(self, path: str, datasync: int, fh: int) -> int:
+    def fsyncdir(self, path: str, datasync: int, fi: Any) -> int:
         return self._change("fsync", path, lambda: 0)
 
-    def truncate(self, path: str, length: int, fh: int | None = None) -> int:
+    def truncate(self, path: str, length: int, fi: Any = None) -> int:
         return self._change("truncate", path, lambda: os.truncate(self._backing + path, length))
 
-    def fallocate(self, path: str, mode: int, offset: int, length: int, fh: int) -> int:
+    def fallocate(self, path: str, mode: int, offset: int, length: int, fi: Any) -> int:
         if self._faults.room is not None and length > self._faults.room:
             raise OSError(errno.ENOSPC, "injected", path)
-        return self._change("fallocate", path, lambda: os.posix_fallocate(fh, offset, length))
+        return self._change("fallocate", path, lambda: os.posix_fallocate(fi.fh, offset, length))
 
     def rename(self, old: str, new: str) -> int:
         return self._change("rename", new, lambda: os.rename(self._backing + old, self._backing + new))
@@ -147,20 +155,20 @@ class PassThrough(Operations):
     def rmdir(self, path: str) -> int:
         return self._change("rmdir", path, lambda: os.rmdir(self._backing + path))
 
-    def flush(self, path: str, fh: int) -> int:
+    def flush(self, path: str, fi: Any) -> int:
         return 0
 
-    def release(self, path: str, fh: int) -> int:
-        os.close(fh)
+    def release(self, path: str, fi: Any) -> int:
+        os.close(fi.fh)
         return 0
 
-    def getattr(self, path: str, fh: int | None = None) -> dict[str, Any]:
+    def getattr(self, path: str, fi: Any = None) -> dict[str, Any]:
         found = os.lstat(self._backing + path)
         names = ("st_mode", "st_nlink", "st_size", "st_uid", "st_gid", "st_blocks", "st_ino")
         times = {f"st_{name}": getattr(found, f"st_{name}_ns") for name in ("atime", "mtime", "ctime")}
         return {name: getattr(found, name) for name in names} | times
 
-    def readdir(self, path: str, fh: int) -> list[str]:
+    def readdir(self, path: str, fi: Any) -> list[str]:
         return [".", "..", *os.listdir(self._backing + path)]
 
     def chmod(self, path: str, mode: int) -> int:
@@ -195,7 +203,15 @@ def main() -> None:
     faults = Faults()
     threading.Thread(target=obey, args=(faults,), daemon=True).start()
     options = {"attr_timeout": 0, "entry_timeout": 0, "negative_timeout": 0}
-    FUSE(PassThrough(Path(backing), faults), mount, foreground=True, nothreads=True, fsname="faulty", **options)
+    FUSE(
+        PassThrough(Path(backing), faults),
+        mount,
+        foreground=True,
+        nothreads=True,
+        fsname="faulty",
+        raw_fi=True,
+        **options,
+    )
 
 
 if __name__ == "__main__":

@@ -272,6 +272,15 @@ class CubeFiles:
         self._documents[ROOT]["attributes"] |= attributes
 
 
+_HINTS: Final = {
+    errno.EACCES: "permission to write there, for the user who runs this",
+    errno.EPERM: "permission to write there, for the user who runs this",
+    errno.EROFS: "another disk: this one is read-only, or became so after an error that the system log tells",
+    errno.EIO: "another disk: this one fails; `scanhsi verify` tells what of the cube is intact",
+    errno.ESTALE: "mounting the network disk anew; the scan can be resumed then",
+}
+
+
 def disk_error(destination: Destination, error: OSError, *, needed: int) -> CubeError:
     """An error of the file system, as the user needs to read it.
 
@@ -281,7 +290,8 @@ def disk_error(destination: Destination, error: OSError, *, needed: int) -> Cube
         needed: Bytes that were to be written at once, at most; 0 where that is little.
     """
     if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-        return CubeError(f"cannot write {destination.name}: {error.strerror or error}.")
+        hint = _HINTS.get(error.errno or 0, "what the system log says; the scan can be resumed when the disk is well")
+        return CubeError(f"cannot write {destination.name}: {error.strerror or error}.", hint=hint)
     wanted = f"up to {needed / 1e6:.1f} MB were needed" if needed else ""
     free = destination.free_bytes()
     left = f"{free / 1e6:.1f} MB are free" if free is not None else ""
