@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import traceback
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scanhsi import clock
+from scanhsi.cli import run
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.reader import cube_summary, open_cube, read_records
 from scanhsi.devices.errors import CubeError, NotACube
@@ -69,6 +72,15 @@ def test_other_processes_get_the_place_and_no_secret(cube: str, environment: Non
     sent = pickle.dumps(open_cube(cube)["cube"])
     assert SECRET.encode() not in sent
     np.testing.assert_array_equal(pickle.loads(sent).isel(line=0).values, whole(SPEC, 21)[:, 0])
+
+
+def test_commands_take_the_url(
+    cube: str, environment: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["info", cube, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["path"] == cube
+    assert run(["trace", cube, "-o", str(tmp_path / "trace.json")]) == 0
+    assert "monday.zarr" in (tmp_path / "trace.json").read_text()
 
 
 def tell(error: BaseException) -> str:
