@@ -108,8 +108,10 @@ class SimulatedActuator:
         return Motion(step, commanded_ns, now_ns(), started_ns=started_ns)
 
     def least_latency_s(self, step: int) -> float:
-        """The shortest T_rand and T_cmd that the profile can draw, for any step."""
+        """The shortest T_rand and T_cmd that the profile can draw, for any step; nothing is sure of recorded ones."""
         del step
+        if self._profile.scans:
+            return 0.0
         streams: tuple[Stream, ...] = ("T_rand", "T_cmd")
         return sum(least_s(found) for stream in streams if (found := self._profile.distribution(stream)))
 
