@@ -17,8 +17,9 @@ from pydantic import ValidationError
 from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from scanhsi import clock
+from scanhsi.calibration.online import online_quicklook
 from scanhsi.clock import Granted, RealTime
-from scanhsi.cube import CubeSpec, CubeWriter, DiscardSink, LineSink
+from scanhsi.cube import Binning, CubeSpec, CubeWriter, DiscardSink, LineSink
 from scanhsi.cube.slow import SlowSink
 from scanhsi.devices import Actuator, Camera, CameraSettings
 from scanhsi.devices.errors import ConfigError, DeviceBusy
@@ -185,23 +186,35 @@ class Imager:
     def _writer(self, course: Course, plan: ScanPlan, output: Path, granted: Granted) -> LineSink:
         settings, roi = course.settings, course.settings.roi
         assert roi is not None, "Instrument.check fills the ROI in"
-        spectral = self.config.spectral
-        spec = CubeSpec(
-            lines=course.lines,
-            bands=roi.bands,
-            samples=roi.samples,
-            dtype=settings.pixel_format.dtype,
-            significant_bits=settings.pixel_format.bits,
-            attributes={
-                "run": self.run,
-                "simulated": self.instrument.simulated,
-                "plan": plan.model_dump(mode="json"),
-                "instrument": self.config.model_dump(mode="json"),
-                "devices": self.instrument.describe(),
-                "real_time": asdict(granted),
-                "versions": {"scanhsi": version("scanhsi"), "python": platform.python_version()},
-            },
-            wavelength_nm=spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None,
-        )
-        storage = self.config.storage
-        return CubeWriter(output, spec, lines_per_shard=storage.lines_per_shard, codec=storage.codec)
+        spectral, storage = self.config.spectral, self.config.storage
+        wavelength_nm = spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None
+        try:
+            spec = CubeSpec(
+                lines=course.lines,
+                bands=roi.bands,
+                samples=roi.samples,
+                dtype=settings.pixel_format.dtype,
+                significant_bits=settings.pixel_format.bits,
+                attributes={
+                    "run": self.run,
+                    "simulated": self.instrument.simulated,
+                    "plan": plan.model_dump(mode="json"),
+                    "instrument": self.config.model_dump(mode="json"),
+                    "devices": self.instrument.describe(),
+                    "real_time": asdict(granted),
+                    "versions": {"scanhsi": version("scanhsi"), "python": platform.python_version()},
+                },
+                wavelength_nm=wavelength_nm,
+                binning=Binning(storage.bin_bands, storage.bin_samples),
+                quicklook=online_quicklook(roi.bands, wavelength_nm) if storage.quicklook else None,
+            )
+            writer = CubeWriter(
+                output,
+                spec,
+                lines_per_shard=storage.lines_per_shard,
+                codec=storage.codec,
+                durability=storage.durability,
+            )
+        except ValueError as error:
+            raise ConfigError("the cube cannot be stored as asked:", [str(error)]) from error
+        return writer

@@ -127,7 +127,7 @@ class TestProblems:
             "geometry.steps_per_revolution = 0: input should be greater than 0",
             "geometry.normal_step is missing (step at which the optical axis meets",
             "geometry.scan_direction = 2: input should be 1 or -1",
-            "storage.codec = \"gzip\": input should be 'lz4' or 'zstd'",
+            "storage.codec = \"gzip\": input should be 'lz4', 'zstd', 'none' or 'raw'",
             "limits.exposure.0 = 10: has no unit;",
         ]
         for start in expected:

@@ -68,6 +68,11 @@ def xyz_matrix(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     return matrix
 
 
+def srgb_matrix(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    """Weights of the bands in linear sRGB: as `xyz_matrix`, but a reflectance of 1 in every band gives (1, 1, 1)."""
+    return xyz_matrix(wavelength_nm) @ _XYZ_TO_RGB.T
+
+
 def xyz_to_srgb(xyz: ArrayLike) -> NDArray[np.float64]:
     """sRGB, 0 to 1, of XYZ under D65 with white at Y = 1. Colours outside the gamut are clipped channel by channel.
 

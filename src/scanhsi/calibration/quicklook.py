@@ -224,5 +224,6 @@ def _extent_mm(dataset: xr.Dataset) -> tuple[float, float, float, float] | None:
     if not pitch_m or not distance_m or len(angles) < 2 or angles[0] == angles[-1]:
         return None
     top, bottom = (-1e3 * distance_m * math.tan(2 * float(angle)) for angle in (angles[0], angles[-1]))
-    half = 0.5e3 * pitch_m * dataset.sizes["sample"]
+    binned = cast("dict[str, Any]", dataset.attrs.get("binning") or {}).get("samples", 1)
+    half = 0.5e3 * pitch_m * binned * dataset.sizes["sample"]
     return -half, half, bottom, top

@@ -13,6 +13,14 @@ import typer
 from scanhsi.cli.codes import ExitCode
 from scanhsi.cli.output import messages, results, write_json
 from scanhsi.cli.real_time import RealTimeOption, parsed_real_time
+from scanhsi.cli.storage_options import (
+    BinBandsOption,
+    BinSamplesOption,
+    CodecOption,
+    DurabilityOption,
+    RawOption,
+    storage_settings,
+)
 
 if TYPE_CHECKING:
     from scanhsi.clock import RealTime
@@ -50,6 +58,13 @@ def scan(
         str | None,
         typer.Option(metavar="TIME", help="Line period of a continuous scan; default: the shortest safe one."),
     ] = None,
+    look_ahead: Annotated[
+        str | None,
+        typer.Option(
+            metavar="P",
+            help="Stepped scans: send moves early, accepting this probability (0 to 0.5) that a line is smeared, and flagged.",
+        ),
+    ] = None,
     virtual: Annotated[
         bool, typer.Option("--virtual", help="Run in virtual time: exact, and as fast as it can be computed.")
     ] = False,
@@ -58,17 +73,15 @@ def scan(
     delays: Annotated[
         str | None,
         typer.Option(
-    look_ahead: Annotated[
-        str | None,
-        typer.Option(
-            metavar="P",
-            help="Stepped scans: send moves early, accepting this probability (0 to 0.5) that a line is smeared, and flagged.",
-        ),
-    ] = None,
             metavar="PROFILE.json",
             help="Delay profile for simulated devices to spend; one from `scanhsi delays record` is replayed.",
         ),
     ] = None,
+    codec: CodecOption = None,
+    raw: RawOption = False,
+    durability: DurabilityOption = None,
+    bin_bands: BinBandsOption = None,
+    bin_samples: BinSamplesOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -94,7 +107,8 @@ def scan(
     if (output is None) != discard:
         raise typer.BadParameter("say where the cube goes with -o OUT, or --discard it; one of the two.")
     options = parsed_real_time(real_time, virtual=virtual)
-    config = load_instrument(instrument, parsed_settings(settings or ()))
+    storage = storage_settings(codec, raw, durability, bin_bands, bin_samples)
+    config = load_instrument(instrument, {**parsed_settings(settings or ()), **storage})
     if seed is not None:
         config = config.with_seed(seed)
     if delays is not None:
@@ -110,6 +124,7 @@ def scan(
         "gain": gain,
         "pixel_format": pixel_format,
         "period": period,
+        "look_ahead": look_ahead,
     }
     overrides = {name: value for name, value in given.items() if value is not None}
     report = clock.run(_scan(config, default_plan(config, **overrides), output, options), virtual=virtual)
@@ -123,8 +138,11 @@ async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None, o
 
     console = messages()
     tell: Callable[[str], None] = console.print
+    if plan.look_ahead is not None:  # look-ahead accepts smeared lines: say so before, not after
+        from scanhsi.cli.summary import accepted_smear
+
+        tell(accepted_smear(plan.look_ahead, plan.lines))
     with interrupts(tell) as interrupt:
-        "look_ahead": look_ahead,
         async with open_instrument(config) as imager:
             with shown(console) as show:
                 interrupt.scanning = True
@@ -138,10 +156,6 @@ async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None, o
                     interrupt.scanning = False
 
 
-    if plan.look_ahead is not None:  # look-ahead accepts smeared lines: say so before, not after
-        from scanhsi.cli.summary import accepted_smear
-
-        tell(accepted_smear(plan.look_ahead, plan.lines))
 def _finish(report: ScanReport, *, as_json: bool) -> None:
     """Tell the report; end with the exit code that it deserves."""
     if as_json:

@@ -36,6 +36,10 @@ DIMENSIONS: Final = ("band", "line", "sample")
 _SHARD_BYTES: Final = 48_000_000
 """A shard of raw pixels this big is fast to write and to read, and three of them are the writer's memory."""
 
+_RAW_SHARD_BYTES: Final = 96_000_000
+"""Of raw mode, which needs no other memory: what a shard costs besides its pixels, some ten ms for the syncs of its records, must be
+little beside the time that a fast disk takes for it."""
+
 _DTYPES: Final = tuple(np.dtype(kind) for kind in (np.uint8, np.uint16, np.uint32, np.float32))
 
 _MAX_SHARD_LINES: Final = 64
@@ -178,8 +182,9 @@ def choose_layout(spec: CubeSpec, lines_per_shard: int | None = None, *, whole_f
         whole_frames: Inner chunks are frames, as raw mode writes them: quick to write, slow to read a band from.
     """
     if lines_per_shard is None:
+        budget = _RAW_SHARD_BYTES if whole_frames else _SHARD_BYTES
         lines_per_shard = _MIN_SHARD_LINES
-        while lines_per_shard < _MAX_SHARD_LINES and 2 * lines_per_shard * spec.line_bytes <= _SHARD_BYTES:
+        while lines_per_shard < _MAX_SHARD_LINES and 2 * lines_per_shard * spec.line_bytes <= budget:
             lines_per_shard *= 2
         lines_per_shard = min(lines_per_shard, spec.lines)
     if lines_per_shard < 1:

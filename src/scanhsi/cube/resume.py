@@ -20,7 +20,7 @@ from scanhsi.cube.metadata import ROOT, Documents, decoded, set_lines
 from scanhsi.cube.records import NOT_STAMPED, STAGES, LineRecords, LineStatus
 from scanhsi.devices.errors import CubeError, NotACube
 
-_OF_A_SESSION: Final = frozenset({"run", "versions", "devices"})
+_OF_A_SESSION: Final = frozenset({"run", "versions", "devices", "real_time"})
 """Attributes that may differ when a scan is resumed."""
 
 

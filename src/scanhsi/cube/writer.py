@@ -103,7 +103,7 @@ class CubeWriter:
 
         Args:
             path: The cube, or its `Destination`.
-            spec: As it was begun with; ``run``, ``versions`` and ``devices`` of the attributes may differ.
+            spec: As it was begun with; what describes the session (``run``, ``versions``, ``devices``, ``real_time``) may differ.
             slots: As for a new cube.
             durability: As for a new cube.
             clock_offset_ns: As for a new cube. Stamps are stored on the clock of the session that began the cube.

@@ -115,7 +115,18 @@ class Storage(Written):
     lines_per_shard: Annotated[
         int | None, Field(ge=1, description="lines of one file of the cube; left out, it follows from the line size")
     ] = None
-    codec: Annotated[Literal["lz4", "zstd"], Field(description="lz4 is quick, zstd is smaller")] = "lz4"
+    codec: Annotated[
+        Literal["lz4", "zstd", "none", "raw"],
+        Field(description="lz4 is quick, zstd is smaller; raw is for streams too fast to be compressed"),
+    ] = "lz4"
+    durability: Annotated[
+        Literal["every shard", "at close"], Field(description="when stored lines survive a power cut")
+    ] = "every shard"
+    bin_bands: Annotated[int, Field(ge=1, description="neighbouring bands summed into one")] = 1
+    bin_samples: Annotated[int, Field(ge=1, description="neighbouring samples summed into one")] = 1
+    quicklook: Annotated[bool, Field(description="write a colour picture at an eighth of the size beside the cube")] = (
+        True
+    )
 
 
 class ScanDefaults(Written):
