@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _WIDE: Final = 110
 """Columns of a terminal from which on the terms of the slowest circuit fit beside its name."""
+_ACCEPTED: Final = 0.01
+"""Probability of a smeared line with which look-ahead is told of, where the plan has none."""
 
 
 def register(app: typer.Typer) -> None:
@@ -135,6 +137,8 @@ def _shown(
     yield from (Text(warning, style="yellow") for warning in _warnings(predictions, plan.exposure_s, most_smear))
     yield Text(f"\nWhat 1 ms less of each delay would gain ({chosen}):", style="bold")
     yield _gains(found) if any(_worth(gain) for gain in found) else Text("nothing: the exposure itself sets the pace.")
+    if hint := _look_ahead(plan, timing, found):
+        yield Text(hint)
 
 
 def _table(
@@ -177,6 +181,21 @@ def _warnings(predictions: Sequence[Prediction], exposure_s: float, most_smear: 
     warning = smear_warning(exposure_s, min(sweeps), most_smear) if sweeps else None
     if warning:
         yield warning
+
+
+def _look_ahead(plan: ScanPlan, timing: InstrumentTiming, found: Sequence[Gain]) -> str | None:
+    """What look-ahead would gain, where a shorter move gains anything; predictions are without."""
+    from scanhsi.cli.summary import duration
+    from scanhsi.timing.prediction import lead_s
+
+    accepted = _ACCEPTED if plan.look_ahead is None else plan.look_ahead
+    lead = lead_s(timing, accepted)
+    if plan.mode != "stepped" or not lead or not any(gain.term == "T_act" and _worth(gain) for gain in found):
+        return None
+    return (
+        f"--look-ahead {accepted:g} would send each move {duration(lead)} early, which is about what a line gains; "
+        f"it accepts that {accepted:.1%} of the lines are smeared, and flags them."
+    )
 
 
 def _gains(found: Sequence[Gain]) -> RenderableType:

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from scanhsi.devices import PixelFormat
 from scanhsi.timing.bounds import earliest, mean_period_ns
 from scanhsi.timing.closed_forms import MODES, critical, gains_s, latency_s, scan_s
@@ -100,6 +102,18 @@ def predict_all(
         for mode in MODES
         for kind in timing.formats
     ]
+
+
+def lead_s(timing: InstrumentTiming, probability: float) -> float:
+    """By how much look-ahead sends a move early, once it knows the latencies: their quantile at the accepted probability.
+
+    0 where the profile has no T_cmd: the mirror then counts as moving from the command on.
+    """
+    if "T_cmd" not in timing.actuator.profile.streams:
+        return 0.0
+    streams = timing.actuator.streams
+    latency_ns = streams.array_ns("T_rand", _MOST_DRAWN) + streams.array_ns("T_cmd", _MOST_DRAWN)
+    return float(np.quantile(latency_ns, probability)) * 1e-9
 
 
 @dataclass(frozen=True, slots=True)
