@@ -37,8 +37,8 @@ _SHARD_BYTES: Final = 48_000_000
 """A shard of raw pixels this big is fast to write and to read, and three of them are the writer's memory."""
 
 _RAW_SHARD_BYTES: Final = 96_000_000
-"""Of raw mode, which needs no other memory: what a shard costs besides its pixels, some ten ms for the syncs of its records, must be
-little beside the time that a fast disk takes for it."""
+"""Of raw mode, which needs no other memory: what a shard costs besides its pixels, some ten ms for the syncs of its records, must
+be little beside the time that a fast disk takes for it."""
 
 _DTYPES: Final = tuple(np.dtype(kind) for kind in (np.uint8, np.uint16, np.uint32, np.float32))
 
