@@ -14,7 +14,21 @@ from typer.core import TyperGroup
 from typer.rich_utils import rich_format_error
 
 from scanhsi import log
-from scanhsi.cli import bench, delays, drivers, export, importing, info, predict, quicklook, scan, schema, trace, twin
+from scanhsi.cli import (
+    bench,
+    delays,
+    drivers,
+    export,
+    importing,
+    info,
+    predict,
+    quicklook,
+    scan,
+    schema,
+    trace,
+    twin,
+    verify,
+)
 from scanhsi.cli.codes import EXIT_CODES, ExitCode
 from scanhsi.cli.output import show_error, write_json
 
@@ -52,7 +66,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog=f"[bold]Exit codes[/]: {EXIT_CODES}.",
 )
-for _command in (scan, info, quicklook, export, importing, predict, delays, drivers, schema, trace, bench, twin):
+for _command in (
+    scan,
+    info,
+    quicklook,
+    export,
+    importing,
+    predict,
+    delays,
+    drivers,
+    schema,
+    trace,
+    bench,
+    twin,
+    verify,
+):
     _command.register(app)
 
 

@@ -141,7 +141,7 @@ class LocalDestination:
         try:
             for key, value in files.items():
                 write_durably(building / key, value)
-            self._locked = _lock(building)  # of the folder, not of its name: it is locked when it appears
+            self._locked = lock_folder(building)  # of the folder, not of its name: it is locked when it appears
             building.rename(self.path)
             sync_directory(self.path.parent)
         except OSError as error:
@@ -155,7 +155,7 @@ class LocalDestination:
     def lock(self) -> None:
         """Lock the folder; remove temporary files, which nobody writes any more."""
         if self._locked is None:
-            self._locked = _lock(self.path)
+            self._locked = lock_folder(self.path)
             for leftover in self.path.rglob(f".*{PARTIAL}"):
                 leftover.unlink(missing_ok=True)
 
@@ -231,8 +231,13 @@ class LocalDestination:
         return shutil.disk_usage(existing).free
 
 
-def _lock(path: Path) -> int:
-    """Lock a folder for as long as the returned descriptor is open."""
+def lock_folder(path: Path) -> int:
+    """Lock a cube's folder for as long as the returned descriptor is open, or the process lives.
+
+    Raises:
+        BlockingIOError: Somebody else has locked it.
+        OSError: It cannot be opened.
+    """
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

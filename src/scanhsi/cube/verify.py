@@ -47,7 +47,7 @@ class Verification:
         problems: All of them.
         leftovers: What no reader asks for: harmless.
         notes: Worth knowing, and no problem.
-        untidy: The scan was interrupted, so that nobody cut the arrays to the lines reached: harmless.
+        untidy: The cube was never closed, or is being written: harmless.
     """
 
     path: Path
@@ -121,7 +121,7 @@ def verify_cube(path: str | Path, *, threads: int | None = None, progress: Progr
         problems=tuple(sorted(problems, key=lambda problem: (problem.lines[:1], problem.file))),
         leftovers=tuple(leftovers),
         notes=tuple(_notes(cube, status)),
-        untidy=reached < pixels.shape[1] or cube.torn_close,
+        untidy=reached < pixels.shape[1] or cube.torn_close or cube.acquisition.get("finished") is None,
     )
 
 
