@@ -27,11 +27,11 @@ def import_(
         Path | None, typer.Option(metavar="NC", help="OpenHSI's calibration file, for wavelengths.")
     ] = None,
     dtype: Annotated[
-        Literal["uint8", "uint16", "float32"] | None,
+        Literal["uint8", "uint16", "uint32", "float32"] | None,
         typer.Option(help="Of a pixel in the cube; needed for types that no cube holds (int32, float64)."),
     ] = None,
     bits: Annotated[
-        int | None, typer.Option(min=1, max=16, help="Significant bits of a pixel, 12 for 12-bit cameras.")
+        int | None, typer.Option(min=1, max=32, help="Significant bits of a pixel, 12 for 12-bit cameras.")
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:

@@ -145,4 +145,5 @@ def wavelengths(header: EnviHeader, key: str, bands: int, notes: list[str]) -> N
 
 
 def _shortened(text: str) -> str:
+    text = " ".join(text.split())
     return text if len(text) <= 60 else f"{text[:57]}..."

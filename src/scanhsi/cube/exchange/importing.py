@@ -27,10 +27,10 @@ from scanhsi.cube.records import NOT_STAMPED, STAGES, LineRecords
 from scanhsi.cube.writer import CubeWriter
 from scanhsi.devices.errors import ConfigError, CubeError, CubeExists
 
-PixelType = Literal["uint8", "uint16", "float32"]
+PixelType = Literal["uint8", "uint16", "uint32", "float32"]
 
 _BLOCK_BYTES: Final = 32_000_000
-_EXACT: Final = {"uint8": "uint8", "uint16": "uint16", "int16": "float32", "float32": "float32"}
+_EXACT: Final = {"uint8": "uint8", "uint16": "uint16", "uint32": "uint32", "int16": "float32", "float32": "float32"}
 """Type in the file -> type in the cube, where every value is kept."""
 
 _COLUMNS: Final = ("mirror_step", "mirror_angle_rad", "frame_id", "device_ns")
@@ -124,7 +124,7 @@ def _spec(incoming: Incoming, dtype: PixelType | None, significant_bits: int | N
     if chosen is None:
         raise ConfigError(
             f"{incoming.path} holds {incoming.dtype}, which no cube does.",
-            hint="--dtype float32 (rounds to 24 bits) or --dtype uint16 (refused where a value does not fit)",
+            hint="--dtype float32 (rounds to 24 bits) or --dtype uint32 (refused where a value does not fit)",
         )
     if chosen != incoming.dtype.name:
         incoming.notes.append(f"{incoming.dtype} became {chosen}" + _loss(incoming.dtype.name, chosen))
@@ -177,7 +177,7 @@ def _attributes(incoming: Incoming) -> dict[str, Any]:
 async def _write(incoming: Incoming, spec: CubeSpec, path: Path, told: Told | None) -> None:
     offset_ns = time.time_ns() - clock.now_ns()
     records = _records(incoming, offset_ns)
-    writer = CubeWriter(path, spec, clock_offset_ns=offset_ns)
+    writer = CubeWriter(path, spec, durability="at close", clock_offset_ns=offset_ns)  # it has no name before
     await writer.open(records)
     try:
         step = max(1, _BLOCK_BYTES // (spec.bands * spec.samples * incoming.dtype.itemsize))
