@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 
 from scanhsi import clock
+from scanhsi.cube.binning import Binning
 from scanhsi.cube.layout import CubeSpec
+from scanhsi.cube.quicklook import QuicklookSpec
 from scanhsi.cube.reader import open_cube
 from scanhsi.cube.records import LineRecords
 from scanhsi.cube.shards import CubeFiles, ShardPixels
 from scanhsi.cube.sink import DiscardSink, LineSink
+from scanhsi.cube.slow import SlowSink
 from scanhsi.cube.writer import CubeWriter
 from support.cubes import feed, frame, whole
 from support.sink_contract import SinkContract
@@ -32,9 +35,49 @@ class TestDiscardSink(SinkContract):
 
 
 class TestCubeWriter(SinkContract):
-    @pytest.fixture(params=[2, 3])
+    @pytest.fixture(
+        params=[(2, "lz4", "every shard"), (3, "lz4", "at close"), (3, "zstd", "every shard"), (2, "none", "at close")]
+    )
     def sink(self, tmp_path: Path, request: pytest.FixtureRequest) -> LineSink:
-        return CubeWriter(tmp_path / "cube.zarr", self.spec, slots=request.param, lines_per_shard=4)
+        slots, codec, durability = request.param
+        return CubeWriter(
+            tmp_path / "cube.zarr", self.spec, slots=slots, lines_per_shard=4, codec=codec, durability=durability
+        )
+
+
+class TestRawCubeWriter(SinkContract):
+    @pytest.fixture(params=["every shard", "at close"])
+    def sink(self, tmp_path: Path, request: pytest.FixtureRequest) -> LineSink:
+        return CubeWriter(tmp_path / "cube.zarr", self.spec, lines_per_shard=4, codec="raw", durability=request.param)
+
+
+class TestBinningCubeWriter(SinkContract):
+    spec = CubeSpec(23, 5, 6, "uint16", 12, binning=Binning(2, 3), quicklook=QuicklookSpec(np.full((3, 5), 0.2)))
+
+    @pytest.fixture(params=["lz4", "raw"])
+    def sink(self, tmp_path: Path, request: pytest.FixtureRequest) -> LineSink:
+        return CubeWriter(tmp_path / "cube.zarr", self.spec, slots=2, lines_per_shard=4, codec=request.param)
+
+
+class TestResumedCubeWriter(SinkContract):
+    """A cube of which nothing is there yet goes on as a new one."""
+
+    @pytest.fixture(params=["lz4", "raw"])
+    def sink(self, tmp_path: Path, request: pytest.FixtureRequest) -> LineSink:
+        async def begin() -> None:
+            writer = CubeWriter(tmp_path / "cube.zarr", self.spec, lines_per_shard=4, codec=request.param)
+            await writer.open(LineRecords(self.spec.lines))
+            await writer.close()
+
+        clock.run(begin(), virtual=True)
+        return CubeWriter.resume(tmp_path / "cube.zarr", self.spec)
+
+
+class TestSlowSink(SinkContract):
+    @pytest.fixture
+    def sink(self, tmp_path: Path) -> LineSink:
+        writer = CubeWriter(tmp_path / "cube.zarr", self.spec, slots=2, lines_per_shard=4)
+        return SlowSink(writer, lambda line: 1_000_000 * (line % 3))
 
 
 @pytest.fixture

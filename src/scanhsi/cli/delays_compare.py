@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from scanhsi.timing.comparison import ReplayComparison, ReplayPlan, StreamComparison
     from scanhsi.timing.delays import DelayProfile
 
-_LOUD: Final = {"differ": "bold yellow", "too few lines": "bold"}
+_SHORT: Final = {"no difference seen": "none seen", "too few lines": "too few"}
+_LOUD: Final = {"differ": "bold yellow", "too few": "bold"}
 
 
 def compare(
@@ -122,8 +123,12 @@ def _verdicts(
     differ = [each for each in streams if each.verdict == "differ"]
     if differ:
         told.append(f"streams that differ: {', '.join(_name(each) for each in differ)}.")
-    elif streams:
-        told.append("no stream is seen to differ.")
+    seen = [each.visible for each in streams if each.verdict == "no difference seen"]
+    if seen:
+        told.append(
+            f"{'of the others no' if differ else 'no'} stream is seen to differ; with so many lines distances of "
+            f"{min(seen):.2f} to {max(seen):.2f} between distribution functions would mostly be seen."
+        )
     few = [_name(each) for each in streams if each.verdict == "too few lines"]
     if few:
         told.append(
@@ -164,41 +169,30 @@ def _show(
 
 
 def _stream_table(streams: Sequence[StreamComparison]) -> Table:
-    from scanhsi.cli.summary import duration
-
-    table = _table("stream", "lines A, B", "independent", "median A", "B - A", "99 % A", "B - A", "distance", "p")
-
+    table = _table("stream", "lines", "median A", "B - A", "99 % A", "B - A", "p")
     for each in streams:
         table.add_row(
             _name(each),
-            f"{each.lines[0]}, {each.lines[1]}",
             f"{each.independent[0]}, {each.independent[1]}",
-            duration(each.median_s[0]),
-            _signed(each.median_s),
-            duration(each.p99_s[0]),
-            _signed(each.p99_s),
-            f"{each.distance:.3f}",
+            _short(each.median_s[0]),
+            _plus(each.median_s[1] - each.median_s[0]),
+            _short(each.p99_s[0]),
+            _plus(each.p99_s[1] - each.p99_s[0]),
             "" if each.verdict == "too few lines" else f"{each.p:.3f}",
-            _loud(_words(each)),
+            _loud(each.verdict),
         )
     return table
 
 
-def _words(stream: StreamComparison) -> str:
-    """The verdict, with what it could have seen."""
-    seen = stream.verdict == "no difference seen"
-    return f"{stream.verdict} (would see {stream.visible:.2f})" if seen else stream.verdict
-
-
 def _replay_table(replays: Sequence[ReplayComparison]) -> Table:
-    from scanhsi.cli.summary import duration
-
-    table = _table("when replayed", "A", "B", "B - A", "95 % interval")
+    table = _table("line period", "A", "B", "B - A", "95 % interval")
     for each in replays:
         rate = each.name == "lines lost"
-        means = [f"{mean:.3%}" if rate else duration(mean) for mean in each.means]
+        means = [f"{mean:.3%}" if rate else _short(mean) for mean in each.means]
         changes = [f"{value:+.3%}" if rate else _plus(value) for value in (each.difference, each.low, each.high)]
-        table.add_row(each.name, *means, changes[0], f"{changes[1]} to {changes[2]}", _loud(each.verdict))
+        table.add_row(
+            each.name.removeprefix("period "), *means, changes[0], f"{changes[1]} to {changes[2]}", _loud(each.verdict)
+        )
     return table
 
 
@@ -206,25 +200,26 @@ def _table(name: str, *columns: str) -> Table:
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column(name)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    table.add_column(name, no_wrap=True)
     for column in columns:
-        table.add_column(column, justify="right")
-    table.add_column("verdict")
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("differ?", no_wrap=True)
     return table
 
 
-def _signed(pair: tuple[float, float]) -> str:
-    return _plus(pair[1] - pair[0])
+def _short(seconds: float) -> str:
+    from scanhsi.instrument.quantities import format_quantity
+
+    return format_quantity(seconds, "s", digits=3)
 
 
 def _plus(seconds: float) -> str:
-    from scanhsi.cli.summary import duration
-
-    return f"{'+' if seconds >= 0 else '-'}{duration(abs(seconds))}"
+    return f"{'+' if seconds >= 0 else '-'}{_short(abs(seconds))}"
 
 
 def _loud(verdict: str) -> Text:
     from rich.text import Text
 
-    return Text(verdict, style=_LOUD.get(verdict, ""))
+    short = _SHORT.get(verdict, verdict)
+    return Text(short, style=_LOUD.get(short, ""))

@@ -31,7 +31,7 @@ class Difference:
 def two_sample(first: NDArray[Any], second: NDArray[Any]) -> Difference:
     """Compare two samples of independent values.
 
-    Anderson and Darling's statistic sees differences in the tails that Kolmogorov and Smirnov's does not. Its p value comes from
+    Anderson and Darling's statistic gives the tails more weight than Kolmogorov and Smirnov's. Its p value comes from
     1999 shuffles of all values, which is exact for small samples and for ties, and always the same.
 
     Args:
