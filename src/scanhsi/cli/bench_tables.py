@@ -93,7 +93,7 @@ def _loop(report: LoopReport) -> str:
 
 
 def _beside(hogs: int) -> str:
-    return f"{hogs} busy processes" if hogs else "undisturbed"
+    return f"{hogs} busy processes" if hogs else "no busy process"
 
 
 def _wake_up(report: LoopReport) -> Percentiles:
