@@ -196,6 +196,7 @@ def test_real_time_options_are_told_and_kept_in_the_cube(cli: Cli, mini: Path, t
     assert told["refused"] == {}
     assert cli("info", out, "--json").object["attributes"]["real_time"] == told
     assert "real time" in cli("scan", mini, "--discard", "--real-time", "gc").out
+    assert "objects frozen" in cli("info", out).out
     unasked = cli("scan", mini, "--discard", "--virtual", "--json").object["real_time"]
     assert unasked == {"loop": "virtual", "asked": [], "granted": {}, "refused": {}}
 

@@ -87,6 +87,7 @@ def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | Non
             "exposure": None if exposure_s is None else f"{duration(exposure_s)} at {gain_db:g} dB",
             "speed": None if period_s is None else f"{1 / period_s:.2f} lines/s, {duration(period_s)} a line",
             "efficiency": None if efficiency is None else f"{efficiency:.1%}",
+            "real time": _real_time(summary),
             "look-ahead": look_ahead(_plan(summary).get("look_ahead"), smeared),
         }
     )
@@ -94,6 +95,17 @@ def _facts(summary: CubeSummary, period_s: float | None, efficiency: float | Non
 
 def _bits(summary: CubeSummary) -> str:
     return "" if summary.significant_bits is None else f" ({summary.significant_bits} bits)"
+
+
+def _real_time(summary: CubeSummary) -> str | None:
+    """Options that were asked for; None where there were none."""
+    told = summary.attributes.get("real_time")
+    if not isinstance(told, dict):
+        return None
+    from scanhsi.clock import Granted
+
+    options = Granted(**cast("dict[str, Any]", told))
+    return str(options) if options.asked else None
 
 
 def _shown_plan(plan: dict[str, Any]) -> dict[str, Any]:
