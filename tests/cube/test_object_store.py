@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+import scanhsi
 from scanhsi import clock
 from scanhsi.cli import run
 from scanhsi.cube.layout import CubeSpec
@@ -72,6 +75,15 @@ def test_other_processes_get_the_place_and_no_secret(cube: str, environment: Non
     sent = pickle.dumps(open_cube(cube)["cube"])
     assert SECRET.encode() not in sent
     np.testing.assert_array_equal(pickle.loads(sent).isel(line=0).values, whole(SPEC, 21)[:, 0])
+
+
+def test_the_example_of_the_documentation(cube: str, environment: None) -> None:
+    page = Path(__file__).parents[2] / "docs/how-to/read-a-cube.md"
+    (example,) = re.findall(r"^```py\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert f'"{cube}"' in example
+    names: dict[str, Any] = {"scanhsi": scanhsi}
+    exec(example, names)
+    assert names["cube"].sizes["line"] == 21
 
 
 def test_commands_take_the_url(
