@@ -99,11 +99,12 @@ def kill_at_random(folder: Path, victims: Victims, job: Job, moments: int, seed:
     """Kill so many victims, half of them once more while they resume; complete each cube."""
     rng, tally, cube = random.Random(seed), Tally(), Path(job.path)
     whole_s = min(duration_of(victims, job) for _ in range(3))
-    for number in range(moments):
-        end = kill_at(victims, job, rng.uniform(0, whole_s))
+    while tally.killed < moments:  # some are done before their moment comes
+        assert tally.runs < 5 * moments
+        end = kill_at(victims, job, rng.random() ** 0.7 * whole_s)
         lines = judge(job, cube, end)
         tally.count(end, lines, job.lines)
-        if number % 2 and lines is not None and lines < job.lines:
+        if tally.runs % 2 and lines is not None and lines < job.lines:
             again = kill_at(victims, replace(job, resume=True), rng.uniform(0, whole_s))
             assert (judge(job, cube, again) or 0) >= lines
             tally.killed_again += again.killed
@@ -119,8 +120,7 @@ def kill_at_random(folder: Path, victims: Victims, job: Job, moments: int, seed:
 @pytest.mark.usefixtures("no_sync")
 def test_at_random_moments(tmp_path: Path, victims: Victims, codec: str, durability: str) -> None:
     job = Job(str(tmp_path / "cube.zarr"), codec=codec, durability=durability, flush_every=14)
-    tally = kill_at_random(tmp_path, victims, job, 2, f"{codec} {durability}")
-    assert tally.killed
+    kill_at_random(tmp_path, victims, job, 2, f"{codec} {durability}")
 
 
 @pytest.mark.soak
@@ -128,10 +128,9 @@ def test_at_random_moments(tmp_path: Path, victims: Victims, codec: str, durabil
 @all_ways
 @pytest.mark.usefixtures("no_sync")
 def test_at_200_random_moments(tmp_path: Path, victims: Victims, codec: str, durability: str) -> None:
-    job = Job(str(tmp_path / "cube.zarr"), codec=codec, durability=durability, lines=90, flush_every=14)
+    job = Job(str(tmp_path / "cube.zarr"), codec=codec, durability=durability, lines=60, flush_every=14)
     tally = kill_at_random(tmp_path, victims, job, 200, f"soak {codec} {durability}")
     sys.stderr.write(f"\n{codec}, {durability}: {tally}\n")
-    assert tally.killed > 150
 
 
 def changes_of(faulty: FaultyFs, victims: Victims, job: Job) -> list[str]:

@@ -89,8 +89,15 @@ class FaultyFs:
 
     def arm(self, fault: Fault | None = None) -> Happened:
         """Make a fault happen from now on, instead of the one before; None lets everything go well."""
+        return self._order(asdict(fault or Fault()))
+
+    def power_cut(self, target: Path, how: str) -> None:
+        """Write what a power cut now would leave to a new folder; ``how``: see `support.volatile`. Faults are over then."""
+        self._order({"cut": str(target), "how": how})
+
+    def _order(self, order: dict[str, Any]) -> Happened:
         assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(asdict(fault or Fault())) + "\n")
+        self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
         told = self._read()
         assert told is not None, "the faulty file system is gone"
@@ -121,3 +128,4 @@ class FaultyFs:
         self.arm()
         for found in self.backing.iterdir():
             shutil.rmtree(found)
+        self._order({"forget": True})

@@ -21,6 +21,10 @@ os.environ.setdefault("FUSE_LIBRARY_NAME", "fuse3")
 
 from mfusepy import FUSE, Operations
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from support.volatile import Volatile
+
 CHANGES = frozenset({"write", "fsync", "rename", "create", "mkdir", "unlink", "rmdir", "truncate", "fallocate", "link"})
 
 
@@ -85,17 +89,19 @@ class PassThrough(Operations):
 
     use_ns = True
 
-    def __init__(self, backing: Path, faults: Faults) -> None:
+    def __init__(self, backing: Path, faults: Faults, volatile: Volatile) -> None:
         self._backing = str(backing)
         self._faults = faults
+        self._volatile = volatile
 
     def init(self, path: str) -> None:
         answer({"ready": True})
 
-    def _change(self, op: str, path: str, act: Any) -> Any:
-        """Do a change, or die in the middle of it: after it was done, before it is known."""
+    def _change(self, op: str, path: str, act: Any, note: Any = lambda: None) -> Any:
+        """Do a change and note it, or die in the middle of it: after it was done, before it is known."""
         fires = self._faults.fires(op, path)
         result = act()
+        note()
         if fires:
             self._faults.kill()
         return result
@@ -111,7 +117,9 @@ class PassThrough(Operations):
 
     def create(self, path: str, mode: int, fi: Any) -> int:
         flags = fi.flags | os.O_CREAT
-        fi.fh = self._change("create", path, lambda: self._open(path, flags, mode))
+        fi.fh = self._change(
+            "create", path, lambda: self._open(path, flags, mode), lambda: self._volatile.created(path)
+        )
         return 0
 
     def open(self, path: str, fi: Any) -> int:
@@ -130,10 +138,10 @@ class PassThrough(Operations):
         return os.pread(fi.fh, size, offset)
 
     def fsync(self, path: str, datasync: int, fi: Any) -> int:
-        return self._change("fsync", path, lambda: 0)
+        return self._change("fsync", path, lambda: 0, lambda: self._volatile.synced(path))
 
     def fsyncdir(self, path: str, datasync: int, fi: Any) -> int:
-        return self._change("fsync", path, lambda: 0)
+        return self._change("fsync", path, lambda: 0, lambda: self._volatile.synced(path))
 
     def truncate(self, path: str, length: int, fi: Any = None) -> int:
         return self._change("truncate", path, lambda: os.truncate(self._backing + path, length))
@@ -144,16 +152,25 @@ class PassThrough(Operations):
         return self._change("fallocate", path, lambda: os.posix_fallocate(fi.fh, offset, length))
 
     def rename(self, old: str, new: str) -> int:
-        return self._change("rename", new, lambda: os.rename(self._backing + old, self._backing + new))
+        return self._change(
+            "rename",
+            new,
+            lambda: os.rename(self._backing + old, self._backing + new),
+            lambda: self._volatile.renamed(old, new),
+        )
 
     def mkdir(self, path: str, mode: int) -> int:
-        return self._change("mkdir", path, lambda: os.mkdir(self._backing + path, mode))
+        return self._change(
+            "mkdir", path, lambda: os.mkdir(self._backing + path, mode), lambda: self._volatile.made(path)
+        )
 
     def unlink(self, path: str) -> int:
-        return self._change("unlink", path, lambda: os.unlink(self._backing + path))
+        return self._change(
+            "unlink", path, lambda: os.unlink(self._backing + path), lambda: self._volatile.removed(path)
+        )
 
     def rmdir(self, path: str) -> int:
-        return self._change("rmdir", path, lambda: os.rmdir(self._backing + path))
+        return self._change("rmdir", path, lambda: os.rmdir(self._backing + path), lambda: self._volatile.removed(path))
 
     def flush(self, path: str, fi: Any) -> int:
         return 0
@@ -192,26 +209,25 @@ def answer(value: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def obey(faults: Faults) -> None:
+def obey(faults: Faults, volatile: Volatile, backing: Path) -> None:
     for line in sys.stdin:
-        answer(faults.arm(json.loads(line)))
+        order = json.loads(line)
+        if "cut" in order:
+            volatile.cut(Path(order["cut"]), order["how"], backing)
+        elif "forget" in order:
+            volatile.forget()
+        answer(faults.arm(order))
     os._exit(0)  # whoever started this is gone; so is the namespace with the mount
 
 
 def main() -> None:
-    backing, mount = sys.argv[1:]
+    backing, mount = Path(sys.argv[1]), sys.argv[2]
     faults = Faults()
-    threading.Thread(target=obey, args=(faults,), daemon=True).start()
+    volatile = Volatile(backing, backing.with_name("synced"))
+    threading.Thread(target=obey, args=(faults, volatile, backing), daemon=True).start()
     options = {"attr_timeout": 0, "entry_timeout": 0, "negative_timeout": 0}
-    FUSE(
-        PassThrough(Path(backing), faults),
-        mount,
-        foreground=True,
-        nothreads=True,
-        fsname="faulty",
-        raw_fi=True,
-        **options,
-    )
+    operations = PassThrough(backing, faults, volatile)
+    FUSE(operations, mount, foreground=True, nothreads=True, fsname="faulty", raw_fi=True, **options)
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ def read_interrupted(destination: Destination, spec: CubeSpec) -> Interrupted:
     if behind.size:
         raise CubeError(
             f"{name} has no line {next_line}, but lines behind it, up to {behind[-1]}: resuming would write over them.",
-            hint="scanhsi verify --repair marks damaged lines as missing",
+            hint="scanhsi verify --repair --mark-unreadable marks them as missing",
         )
     return Interrupted(documents, layout, codec, status, next_line, int(attributes["clock_offset_ns"]))
 
