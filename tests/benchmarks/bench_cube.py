@@ -198,17 +198,6 @@ async def floor(path: Path, spec: CubeSpec, options: argparse.Namespace, *, huge
     return {"measured": (time.perf_counter() - start, time.process_time() - cpu)}
 
 
-async def write(path: Path, spec: CubeSpec, lines: np.ndarray, lines_per_shard: int | None, codec: Any) -> None:
-    """A cube to be read by another benchmark."""
-    writer = CubeWriter(path, spec, codec=codec, lines_per_shard=lines_per_shard)
-    await writer.open(LineRecords(spec.lines))
-    for line in range(spec.lines):
-        np.copyto(writer.buffer(line), lines[line % len(lines)])
-        await writer.append(line)
-    await writer.flush()
-    await writer.close()
-
-
 async def run_one(name: str, folder: Path, options: argparse.Namespace) -> dict:
     spec = CubeSpec(options.lines, options.bands, options.samples, np.uint16, 12)
     lines = synthetic_lines(spec.bands, spec.samples)

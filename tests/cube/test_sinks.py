@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from scanhsi import clock
+from scanhsi.cube import durable
 from scanhsi.cube.binning import Binning
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.quicklook import QuicklookSpec
@@ -24,6 +25,12 @@ from support.cubes import feed, frame, whole
 from support.sink_contract import SinkContract
 
 SPEC = CubeSpec(23, 5, 6, "uint16", 12)
+
+
+@pytest.fixture(autouse=True)
+def unsynced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is synced, and when, is the affair of test_crash; here it only takes time."""
+    monkeypatch.setattr(durable.os, "fsync", lambda _: None)
 
 
 class TestDiscardSink(SinkContract):

@@ -54,9 +54,10 @@ def _grid(layout: Layout) -> tuple[int, ...]:
 
 
 def _finish_index(index: NDArray[np.uint64], tail: NDArray[np.uint8]) -> None:
-    """Put the index at the end of ``tail``."""
+    """Put the index at the end of ``tail``, and zeros before it."""
     encoded = index.astype("<u8").tobytes()
     encoded += _crc32c(encoded).to_bytes(CRC_BYTES, "little")
+    tail[: len(tail) - len(encoded)] = 0
     tail[len(tail) - len(encoded) :] = np.frombuffer(encoded, np.uint8)
 
 
@@ -107,10 +108,12 @@ class RawEncoder:
         self._layout = layout
 
     def encode(self, shard: ShardBuffer, lines: int, lost: NDArray[np.bool_]) -> list[memoryview]:
-        """See `Encoder`. Lost lines are absent in the index."""
+        """See `Encoder`. Lost lines are absent in the index, and zeros in the file."""
         index = np.full((self._layout.lines_per_shard, 2), _ABSENT, np.uint64)
         data = np.frombuffer(shard.memory, np.uint8)
         frame_bytes = shard.rows[0].nbytes
+        for line in np.flatnonzero(lost[:lines]).tolist():
+            data[line * shard.stride : (line + 1) * shard.stride] = 0
         for line in np.flatnonzero(~lost[:lines]).tolist():
             start, end = line * shard.stride, line * shard.stride + frame_bytes
             checksum = _crc32c(data[start:end])

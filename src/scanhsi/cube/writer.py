@@ -179,9 +179,15 @@ class CubeWriter:
         self._records = records
         if self._offset_ns is None:
             self._offset_ns = time.time_ns() - now_ns()
-        opening = self._create(self._offset_ns) if self._interrupted is None else self._reopen(self._interrupted)
-        self._opening = asyncio.create_task(opening)
+        self._opening = asyncio.create_task(self._open(self._offset_ns))
         await asyncio.shield(self._opening)
+
+    async def _open(self, offset_ns: int) -> None:
+        try:
+            await (self._create(offset_ns) if self._interrupted is None else self._reopen(self._interrupted))
+        except BaseException:
+            self._files.destination.unlock()
+            raise
 
     async def _create(self, offset_ns: int) -> None:
         self._started = self._wall_clock()
@@ -283,7 +289,6 @@ class CubeWriter:
     async def _close(self, opening: asyncio.Task[None]) -> None:
         await asyncio.wait([opening])
         if opening.cancelled() or opening.exception() is not None:
-            self._files.destination.unlock()
             return  # open() has told it
         self._submit()
         await self._drain()
