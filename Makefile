@@ -19,7 +19,7 @@ ZARRITA := tests/interop/node_modules/.package-lock.json
 # What each target needs of the system, as Debian packages.
 PACKAGES_env := python3-venv
 PACKAGES_twin := python3-gi gir1.2-aravis-0.8 gcc libc6-dev libsimavr-dev libelf-dev
-PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git octave gdal-bin
+PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git octave gdal-bin fuse3
 
 .PHONY: env twin scan test lint docs soak bench bench-peers clean help
 help:  ## List the targets

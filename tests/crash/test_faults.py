@@ -88,7 +88,7 @@ def test_the_disk_fills_up(faulty: FaultyFs, codec: str, durability: str) -> Non
 @pytest.mark.timeout(3600)
 @all_ways
 def test_the_disk_fills_up_at_any_moment(faulty: FaultyFs, codec: str, durability: str) -> None:
-    fill_up(faulty, job_on(faulty, codec, durability), np.linspace(0.01, 0.99, 40).tolist())
+    fill_up(faulty, job_on(faulty, codec, durability), np.linspace(0.01, 0.99, 20).tolist())
 
 
 def fail_from(faulty: FaultyFs, job: Job, error_name: str, parts: Sequence[float]) -> None:
@@ -116,7 +116,7 @@ def test_the_disk_fails_for_good(faulty: FaultyFs, error_name: str) -> None:
 @pytest.mark.timeout(3600)
 @all_ways
 def test_the_disk_fails_at_any_moment(faulty: FaultyFs, codec: str, durability: str) -> None:
-    fail_from(faulty, job_on(faulty, codec, durability), "EROFS", np.linspace(0, 0.999, 40).tolist())
+    fail_from(faulty, job_on(faulty, codec, durability), "EROFS", np.linspace(0, 0.999, 20).tolist())
 
 
 def mend_leftovers(faulty: FaultyFs) -> None:
@@ -158,7 +158,7 @@ def test_one_operation_fails(faulty: FaultyFs, codec: str, op: str) -> None:
 @pytest.mark.parametrize("op", ["write", "fsync", "rename", "create"])
 @all_ways
 def test_any_operation_fails(faulty: FaultyFs, codec: str, durability: str, op: str) -> None:
-    fail_once(faulty, job_on(faulty, codec, durability), op, np.linspace(0, 0.999, 15).tolist())
+    fail_once(faulty, job_on(faulty, codec, durability), op, np.linspace(0, 0.999, 8).tolist())
 
 
 def test_direct_writes_are_refused(faulty: FaultyFs) -> None:
