@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -232,6 +233,9 @@ def test_devices_that_cannot_are_refused_with_the_reason() -> None:
 def test_other_modes_refuse_it() -> None:
     with pytest.raises(ValueError, match="look_ahead is for stepped scans only, not for mode continuous"):
         ScanPlan(lines=3, exposure_s=0.1, mode=Mode.CONTINUOUS, look_ahead=0.01)
+    sweep = replace(course(5, 0.01), mode=Mode.CONTINUOUS)
+    with pytest.raises(UnsupportedFeature, match="look-ahead is for stepped scans, not for mode 'continuous'"):
+        run_virtual(run_scan(sweep, BenchCamera(Bench()), BenchActuator(Bench()), MemorySink()))
     with pytest.raises(ConfigError, match="look_ahead"):
         default_plan(load_instrument("sensors2019"), look_ahead=0.9)
 

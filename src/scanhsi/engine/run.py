@@ -34,7 +34,7 @@ from scanhsi.devices import (
     check_settings,
     require,
 )
-from scanhsi.devices.errors import DeviceTimeout, ScanFailed, ScanhsiError
+from scanhsi.devices.errors import DeviceTimeout, ScanFailed, ScanhsiError, UnsupportedFeature
 from scanhsi.engine.cleanup import CleanupStep, clean_up, tell_nevertheless
 from scanhsi.engine.control import (
     arrived,
@@ -168,6 +168,8 @@ def check(course: Course, camera: Camera, actuator: Actuator, limits: Range | No
         if _sweep_trigger(camera) is Trigger.FREE_RUN:
             _frame_clock(camera)
     if course.look_ahead is not None:
+        if course.mode is not Mode.STEPPED:
+            raise UnsupportedFeature(f"look-ahead is for stepped scans, not for mode '{course.mode}'.")
         as_telling_start(actuator)
         as_foretelling(camera)
     return replace(course, settings=settings)
