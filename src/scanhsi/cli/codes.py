@@ -24,8 +24,8 @@ class ExitCode(IntEnum):
 
 EXIT_CODES: Final = (
     "0 done; 1 the scan ended early or lost lines, what was stored is safe; 2 wrong command line, instrument file or plan, "
-    "nothing was moved; 3 a device is missing, busy, lost or fails; 4 a cube, reference or picture cannot be read, written or used, "
-    "nothing was overwritten; 70 a bug in scanhsi; 130 interrupted"
+    "nothing was moved; 3 a device is missing, busy, lost or fails; 4 a cube, reference or picture cannot be read, written or "
+    "used, nothing was overwritten; 70 a bug in scanhsi; 130 interrupted"
 )
 
 _CODES: Final[tuple[tuple[type[BaseException], ExitCode], ...]] = (

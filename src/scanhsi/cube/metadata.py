@@ -44,7 +44,7 @@ def new_cube(
     files: dict[str, Buffer] = {}
     stored = spec.stored
     head = {**root_attributes(), "scanhsi_format": FORMAT, **spec.attributes, **attributes}
-    group = zarr.create_group(MemoryStore(files), attributes={**head, "complete": False, "missing": {}})
+    group = zarr.create_group(MemoryStore(files), attributes={"missing": {}, **head, "complete": False})
     if stored.wavelength_nm is not None:
         group.create_array(
             "wavelength",

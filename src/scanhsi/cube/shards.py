@@ -105,8 +105,12 @@ class CubeFiles:
         """Path or URL of the cube."""
         return self.destination.name
 
-    def create(self, attributes: Mapping[str, Any]) -> None:
+    def create(self, attributes: Mapping[str, Any], arrays: Documents | None = None) -> None:
         """Create the whole group at its planned size, all or nothing: it appears under its name when it is complete.
+
+        Args:
+            attributes: Of the group.
+            arrays: Documents of arrays besides those of every cube.
 
         Raises:
             CubeExists: Something is there already; it was not touched.
@@ -118,6 +122,7 @@ class CubeFiles:
         if binning.factor > 1:
             head["binning"] = {"bands": binning.bands, "samples": binning.samples, "operation": "sum"}
         self._documents, files = new_cube(self._spec, self._layout, self._codec, head)
+        self._documents |= arrays or {}
         try:
             self.destination.create({**files, **encoded(self._documents)})
         except FileExistsError as error:
@@ -142,6 +147,16 @@ class CubeFiles:
         self._annotate(attributes)
         self._write_metadata()
         self._make_lanes()
+
+    def attach(self, documents: Documents) -> None:
+        """Write shards of a cube that is there and locked, perhaps by another process; nobody may write the same shard."""
+        self._documents = documents
+        self._make_lanes()
+
+    @property
+    def documents(self) -> Documents:
+        """The ``zarr.json`` files as they are now."""
+        return self._documents
 
     def allocate(self) -> ShardBuffer:
         """A slot: memory for the lines of one shard as the camera sends them."""

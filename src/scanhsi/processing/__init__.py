@@ -1,6 +1,7 @@
 """From raw counts to reflectance: named steps over whole lines, run over cubes of any size or on lines as they arrive."""
 
 from scanhsi.processing.pipeline import Pipeline
+from scanhsi.processing.run import process
 from scanhsi.processing.signal import Signal
 from scanhsi.processing.steps import BinBands, MaskSaturated, Reflectance, Step, SubtractDark
 
@@ -12,4 +13,5 @@ __all__ = [
     "Signal",
     "Step",
     "SubtractDark",
+    "process",
 ]

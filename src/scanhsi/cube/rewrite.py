@@ -1,0 +1,285 @@
+"""A cube made of another one, shard by shard: by threads here, or by the workers of a cluster.
+
+One task makes one shard of the new cube: it reads those lines, computes, writes pixels, then records, then status. So no two
+workers ever write one file, memory is a few shards a thread whatever the cube's size, and what was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+import functools
+import queue
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from scanhsi.cube.buffers import ShardBuffer
+from scanhsi.cube.durable import LocalDestination
+from scanhsi.cube.layout import RECORDS, STATUS, CubeSpec, Layout
+from scanhsi.cube.metadata import ROOT, Documents, decoded
+from scanhsi.cube.reader import open_cube
+from scanhsi.cube.records import LineStatus
+from scanhsi.cube.shards import Codec, CubeFiles, ShardPixels, ShardRecords
+from scanhsi.devices.errors import CubeError, CubeExists
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Compute = Callable[[NDArray[Any]], NDArray[Any]]
+"""(band, line, sample) of some lines -> the same lines as the new cube has them."""
+
+_KEPT: Final = ("clock_offset_ns", "acquisition", "missing", "binning", "resumed")
+"""What the files of a cube say besides the attributes of a `CubeSpec`, and a cube made of it says again."""
+
+_MADE_ANEW: Final = ("Conventions", "ome", "scanhsi_format", "complete", "storage", "title", "source")
+_COUNTS: Final = ("lines_planned", "lines_stored", "lines_missing")
+
+
+Progress = Callable[[int, int], None]
+"""Told how many bytes of the source's pixels are done, and how many there are."""
+
+
+def attributes_of(source: xr.Dataset) -> dict[str, Any]:
+    """Attributes for the `CubeSpec` of a cube that is made of this one."""
+    return {key: value for key, value in source.attrs.items() if key not in (*_KEPT, *_MADE_ANEW, *_COUNTS)}
+
+
+@dataclass(frozen=True, eq=False)
+class Rewriting:
+    """What is to be made of which cube.
+
+    Attributes:
+        source: Dataset of `open_cube` with ``chunks=None``.
+        target: Folder of the new cube.
+        spec: Of the new cube, with as many lines as the source has.
+        layout: Of the new cube.
+        codec: Of the new cube.
+        compute: What becomes of the pixels; None leaves them.
+        check: Read every shard again after it was written, and compare.
+        arrays: Documents of arrays that the new cube has besides those of every cube.
+    """
+
+    source: xr.Dataset
+    target: Path
+    spec: CubeSpec
+    layout: Layout
+    codec: Codec = "lz4"
+    compute: Compute | None = None
+    check: bool = False
+    arrays: Documents | None = None
+
+    def run(
+        self,
+        *,
+        client: Client | None = None,
+        threads: int = 2,
+        resume: bool = False,
+        progress: Progress | None = None,
+    ) -> None:
+        """Make it.
+
+        Args:
+            client: Cluster whose workers do it; they must see source and target under the same paths. None: threads here.
+            threads: So many, without a cluster.
+            resume: Go on with what an interrupted run of the same rewriting left.
+            progress: Told after every shard.
+
+        Raises:
+            CubeExists: The target is there, and ``resume`` was not asked for; it was not touched.
+            CubeError: It cannot be read or written. What was written stays, marked as not complete.
+        """
+        destination = LocalDestination(self.target)
+        files = CubeFiles(destination, self.spec, self.layout, self.codec)
+        if resume and (self.target / ROOT).exists():
+            files.attach(self._interrupted(destination))
+        else:
+            files.create(self._head(), self.arrays)
+        try:
+            self._make_shards(files.documents, client, threads, progress)
+            ended = {"complete": self._complete, "acquisition": self.source.attrs.get("acquisition", {})}
+            files.finish(self.spec.lines, ended)
+        finally:
+            destination.unlock()
+
+    @property
+    def _complete(self) -> bool:
+        return self.source.attrs.get("complete") is True
+
+    def _head(self) -> dict[str, Any]:
+        kept = {key: self.source.attrs[key] for key in _KEPT if key in self.source.attrs}
+        acquisition = {**cast("dict[str, Any]", kept.get("acquisition") or {}), "finished": None}
+        return {**kept, "acquisition": acquisition}
+
+    def _interrupted(self, destination: LocalDestination) -> Documents:
+        """Lock what an earlier run left, and read what it is."""
+        try:
+            destination.lock()
+        except BlockingIOError as error:
+            raise CubeError(f"{self.target} is being written by another process.") from error
+        documents = decoded(destination.get(ROOT) or b"")
+        there = documents[ROOT]["attributes"]
+        same = all(there.get(key) == value for key, value in self.spec.attributes.items())
+        if not same or tuple(documents[f"cube/{ROOT}"]["shape"]) != self.spec.shape:
+            destination.unlock()
+            raise CubeExists(f"{self.target} is another cube, or was made in another way; it was not touched.")
+        return documents
+
+    def _make_shards(
+        self,
+        documents: Documents,
+        client: Client | None,
+        threads: int,
+        progress: Progress | None,
+    ) -> None:
+        todo = [first for first in self._shards() if not self._is_there(first)]
+        done = self.spec.lines - sum(self._lines(first) for first in todo)
+        line_bytes = self.source["cube"].nbytes // self.spec.lines
+        task = ShardTask(self, documents)
+        for first in _on_cluster(client, task, todo) if client else _in_threads(task, todo, threads):
+            done += self._lines(first)
+            if progress is not None:
+                progress(done * line_bytes, self.spec.lines * line_bytes)
+
+    def _shards(self) -> range:
+        return range(0, self.spec.lines, self.layout.lines_per_shard)
+
+    def _lines(self, first: int) -> int:
+        return min(self.layout.lines_per_shard, self.spec.lines - first)
+
+    def _is_there(self, first: int) -> bool:
+        """Whether a shard is made: its status is written after everything it vouches for."""
+        return (self.target / STATUS.name / "c" / str(first // self.layout.lines_per_shard)).exists()
+
+
+class ShardTask:
+    """Makes shards; goes to other processes without what it has opened in this one."""
+
+    def __init__(self, rewriting: Rewriting, documents: Documents) -> None:
+        self._rewriting = rewriting
+        self._documents = documents
+        self._columns = {variable.name: _column(rewriting.source, variable.name, variable.fill) for variable in RECORDS}
+        self._status = np.asarray(rewriting.source["status"].values, np.uint8)
+
+    @functools.cached_property
+    def _files(self) -> CubeFiles:
+        job = self._rewriting
+        files = CubeFiles(LocalDestination(job.target), job.spec, job.layout, job.codec)
+        files.attach(self._documents)
+        return files
+
+    @functools.cached_property
+    def _buffers(self) -> queue.SimpleQueue[ShardBuffer]:
+        return queue.SimpleQueue()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_files", "_buffers")}
+
+    def __call__(self, first: int) -> int:
+        """Make the shard that begins with line ``first``; returns that line."""
+        job = self._rewriting
+        lines = slice(first, min(first + job.layout.lines_per_shard, job.spec.lines))
+        pixels = np.asarray(job.source["cube"].isel(line=lines).values)
+        made = job.compute(pixels) if job.compute is not None else pixels
+        lost = self._status[lines] == LineStatus.MISSING
+        buffer = self._buffer()
+        try:
+            buffer.rows[: lines.stop - first] = made.transpose(1, 0, 2)
+            self._files.write_pixels(ShardPixels(first, buffer, lost))
+        finally:
+            self._buffers.put(buffer)
+        if job.check:
+            self._compare(lines, made, lost)
+        columns = {name: column[lines] for name, column in self._columns.items()}
+        self._files.write_records(ShardRecords(first, columns, self._status[lines]))
+        return first
+
+    def _buffer(self) -> ShardBuffer:
+        try:
+            return self._buffers.get_nowait()
+        except queue.Empty:
+            return self._files.allocate()
+
+    def _compare(self, lines: slice, made: NDArray[Any], lost: NDArray[np.bool_]) -> None:
+        """Read a shard again. Its status is not written yet, so zarr has to be asked for it by name."""
+        import zarr
+
+        array = cast("zarr.Array[Any]", zarr.open_group(self._rewriting.target, mode="r")["cube"])
+        again = np.asarray(array[:, lines, :])
+        if not np.array_equal(again[:, ~lost], made[:, ~lost], equal_nan=made.dtype.kind == "f"):
+            raise CubeError(
+                f"lines {lines.start} to {lines.stop - 1} of {self._rewriting.target} read back otherwise than written."
+            )
+
+
+def _column(source: xr.Dataset, name: str, fill: int | float) -> NDArray[Any]:
+    """A per-line array as it is stored; cubes of an older scanhsi lack some."""
+    if name not in source.variables:
+        return np.full(source.sizes["line"], fill)
+    values = np.asarray(source[name].values)
+    return values.astype(np.int64) if values.dtype.kind == "M" else values
+
+
+def _in_threads(task: ShardTask, todo: list[int], threads: int) -> Iterator[int]:
+    """Shards as they are made by dask's threads."""
+    from dask import threaded  # takes a while
+
+    made: queue.SimpleQueue[int | BaseException | None] = queue.SimpleQueue()
+    stop = threading.Event()
+
+    def make(first: int) -> None:
+        if not stop.is_set():
+            made.put(task(first))
+
+    def work() -> None:
+        try:
+            graph = {f"shard at line {first}": (functools.partial(make, first),) for first in todo}
+            threaded.get(graph, list(graph), num_workers=threads)
+        except BaseException as error:
+            made.put(error)
+        else:
+            made.put(None)
+
+    worker = threading.Thread(target=work, name="scanhsi-rewrite", daemon=True)
+    worker.start()
+    try:
+        while (first := made.get()) is not None:
+            if isinstance(first, BaseException):
+                raise first
+            yield first
+    finally:
+        stop.set()
+        worker.join()
+
+
+def _on_cluster(client: Client, task: ShardTask, todo: list[int]) -> Iterator[int]:
+    """Shards as they are made by the workers of a cluster."""
+    from distributed import as_completed
+
+    everywhere = cast("Any", client.scatter(task, broadcast=True, hash=False))
+    futures = cast("list[Any]", client.map(_call, todo, task=everywhere, pure=False))
+    try:
+        for future in cast("Iterator[Any]", as_completed(futures)):
+            yield cast("int", future.result())
+    finally:
+        client.cancel(futures)
+
+
+def _call(first: int, task: ShardTask) -> int:
+    return task(first)
+
+
+def open_source(path: str | Path, storage_options: Mapping[str, str] | None = None) -> xr.Dataset:
+    """A cube to be rewritten.
+
+    Raises:
+        NotACube, CubeError: It cannot be read, or holds no line.
+    """
+    source = open_cube(path, chunks=None, storage_options=storage_options)
+    if not source.sizes["line"]:
+        raise CubeError(f"{path} holds no line.")
+    return source

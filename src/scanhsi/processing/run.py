@@ -1,0 +1,86 @@
+"""Runs a pipeline over a cube of any size and writes what comes out as a cube."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from scanhsi.cube.layout import CubeSpec, choose_layout
+from scanhsi.cube.rewrite import Progress, Rewriting, attributes_of, open_source
+from scanhsi.cube.shards import Codec
+from scanhsi.processing.pipeline import Pipeline
+from scanhsi.processing.signal import Signal
+from scanhsi.processing.steps import Step
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_MANY_LINES: Final = 64
+
+
+def process(
+    cube: str | Path,
+    output: str | Path,
+    steps: Sequence[Step],
+    *,
+    client: Client | None = None,
+    threads: int = 2,
+    codec: Codec = "lz4",
+    resume: bool = False,
+    progress: Progress | None = None,
+    storage_options: Mapping[str, str] | None = None,
+) -> Pipeline:
+    """Process a cube into a new one.
+
+    The new cube has the lines, records and attributes of the old one, and says in ``processing`` what was done, with what. Its
+    pixels are float32; nan is what cannot be known. Memory is a few shards a thread, whatever the size of the cube.
+
+    Args:
+        cube: Path or URL of the cube.
+        output: Folder of the new cube, which must not exist.
+        steps: What to do, in order.
+        client: A `distributed.Client`: its workers do it, each its own shards. They must see both cubes under the same names.
+            None: threads of this process.
+        threads: So many, without a cluster.
+        codec: Of the new cube.
+        resume: Go on with what an interrupted run left at ``output``.
+        progress: Told after every shard.
+        storage_options: As of `scanhsi.open_cube`.
+
+    Returns:
+        The pipeline as it was bound to the cube.
+
+    Raises:
+        CalibrationError: A step does not fit the cube; nothing was written.
+        NotACube, CubeExists, CubeError: A cube cannot be read or written.
+    """
+    source = open_source(cube, storage_options)
+    pipeline = Pipeline(Signal.of(source), steps)
+    spec = _spec(source.sizes["line"], pipeline, attributes_of(source), str(cube))
+    shards = source["cube"].encoding.get("shards") or source["cube"].encoding["chunks"]
+    rewriting = Rewriting(
+        source,
+        Path(output),
+        spec,
+        choose_layout(spec, min(shards[1], _MANY_LINES)),
+        codec,
+        compute=pipeline,
+    )
+    rewriting.run(client=client, threads=threads, resume=resume, progress=progress)
+    return pipeline
+
+
+def _spec(lines: int, pipeline: Pipeline, attributes: dict[str, Any], source: str) -> CubeSpec:
+    signal = pipeline.output
+    done = attributes.get("processing", [])
+    return CubeSpec(
+        lines=lines,
+        bands=signal.bands,
+        samples=signal.samples,
+        dtype=signal.dtype,
+        significant_bits=None if signal.dtype.kind == "f" else 8 * signal.dtype.itemsize,
+        attributes={**attributes, "processing": [*done, {"step": "read", "source": source}, *pipeline.describe()]},
+        wavelength_nm=signal.wavelength_nm,
+        pixel_attributes={"long_name": signal.long_name, "units": signal.units},
+    )
