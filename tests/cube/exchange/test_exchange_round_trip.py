@@ -19,7 +19,7 @@ from support.exports import make_cube, pixels_of
 KINDS = [("uint8", 8), ("uint8", 5), ("uint16", 12), ("uint16", 16), ("uint32", 19), ("float32", None)]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     shape=st.tuples(st.integers(1, 6), st.integers(1, 9), st.integers(1, 7)),
     kind=st.sampled_from(KINDS),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import errno
 import io
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +77,29 @@ def test_interrupted_by_the_caller_it_leaves_nothing(cube: Path, error: type[Bas
     with pytest.raises(error):
         export_cube(cube, cube.parent / "out.bil", progress=stop)
     assert seen(cube.parent) == {"c.zarr"}
+
+
+DIE = """
+import os, signal, sys
+import scanhsi
+from scanhsi.cube.exchange import importing, source
+
+source.BLOCK_BYTES = importing._BLOCK_BYTES = 1
+work = scanhsi.import_cube if sys.argv[2].endswith("zarr") else scanhsi.export_cube
+work(sys.argv[1], sys.argv[2], progress=lambda done, total: os.kill(os.getpid(), signal.SIGKILL))
+"""
+
+
+@pytest.mark.parametrize("name", ["out.bsq", "out.nc", "back.zarr"])
+def test_killed_it_leaves_nothing_under_the_name(cube: Path, name: str) -> None:
+    export_cube(cube, cube.parent / "before.bil")
+    origin = cube.parent / "before.bil" if name == "back.zarr" else cube
+    before = seen(cube.parent)
+    done = subprocess.run([sys.executable, "-c", DIE, str(origin), str(cube.parent / name)], timeout=60, check=False)
+    assert done.returncode == -signal.SIGKILL
+    left = seen(cube.parent) - before
+    assert left
+    assert all(path.startswith(".") and path.endswith(".partial") for path in left)
 
 
 def test_a_file_that_came_meanwhile_is_not_replaced(cube: Path) -> None:

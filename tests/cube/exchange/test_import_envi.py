@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 import spectral.io.envi
 
-from scanhsi import ConfigError, CubeError, import_cube, open_cube
+from scanhsi import ConfigError, CubeError, export_cube, import_cube, open_cube
 from scanhsi.cube.reader import cube_summary
+from scanhsi.cube.verify import verify_cube
 from scanhsi.devices.errors import CubeExists
 from support.exports import make_cube, pixels_of
 
@@ -190,3 +192,21 @@ def test_options_that_do_not_fit(tmp_path: Path) -> None:
     for options, fragment in wrong:
         with pytest.raises(ConfigError, match=fragment):
             import_cube(header, tmp_path / "c.zarr", **options)
+
+
+def test_the_width_of_the_bands_goes_there_and_back(tmp_path: Path) -> None:
+    import_cube(by_hand(tmp_path), tmp_path / "c.zarr")
+    export_cube(tmp_path / "c.zarr", tmp_path / "out.bil", bands="1,3")
+    assert spectral.io.envi.read_envi_header(str(tmp_path / "out.hdr"))["fwhm"] == ["10.0", "20.0"]
+
+
+def test_where_an_event_loop_runs(tmp_path: Path) -> None:
+    by_hand(tmp_path)
+
+    async def main() -> None:
+        with pytest.raises(RuntimeError, match="await asyncio.to_thread"):
+            import_cube(tmp_path / "f.hdr", tmp_path / "c.zarr")
+        await asyncio.to_thread(import_cube, tmp_path / "f.hdr", tmp_path / "c.zarr")
+
+    asyncio.run(main())
+    assert verify_cube(tmp_path / "c.zarr").intact

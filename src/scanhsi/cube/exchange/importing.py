@@ -20,7 +20,7 @@ from scanhsi.cube.durable import sync_directory
 from scanhsi.cube.exchange.incoming import Incoming
 from scanhsi.cube.exchange.output import output_error, refuse_existing
 from scanhsi.cube.exchange.read_envi import open_envi
-from scanhsi.cube.exchange.read_netcdf import open_netcdf, refuse_pickle
+from scanhsi.cube.exchange.read_netcdf import is_netcdf, open_netcdf, refuse_pickle
 from scanhsi.cube.exchange.source import Told
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.records import NOT_STAMPED, STAGES, LineRecords
@@ -86,18 +86,15 @@ def import_cube(
         CubeExists: The cube exists; it was not touched.
         CubeError: The file cannot be read, or the cube cannot be written.
     """
+    _refuse_running_loop()
     file, output = Path(file), Path(output)
     refuse_existing(output)
     incoming = _open(file, None if calibration is None else Path(calibration))
-    spec = _spec(incoming, dtype, significant_bits)
-    building = output.with_name(f".{output.name}.{uuid.uuid4().hex}.partial")
     try:
-        clock.run(_write(incoming, spec, building, progress))
-        _publish(building, output)
-    except OSError as error:
-        raise output_error(output, error) from error
+        spec = _spec(incoming, dtype, significant_bits)
+        _build(incoming, spec, output, progress)
     finally:
-        shutil.rmtree(building, ignore_errors=True)
+        incoming.close()
     return Imported(
         output,
         incoming.format,
@@ -108,11 +105,31 @@ def import_cube(
     )
 
 
+def _refuse_running_loop() -> None:
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return
+    raise RuntimeError("an event loop runs here: await asyncio.to_thread(scanhsi.import_cube, ...) instead")
+
+
+def _build(incoming: Incoming, spec: CubeSpec, output: Path, progress: Told | None) -> None:
+    """Write the cube under another name, then give it its own."""
+    building = output.with_name(f".{output.name}.{uuid.uuid4().hex}.partial")
+    try:
+        clock.run(_write(incoming, spec, building, progress))
+        _publish(building, output)
+    except OSError as error:
+        raise output_error(output, error) from error
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+
+
 def _open(file: Path, calibration: Path | None) -> Incoming:
     if not file.is_file():
         raise CubeError(f"there is no file {file}.")
     refuse_pickle(file)
-    if file.suffix.lower() in (".nc", ".nc4", ".cdf", ".h5"):
+    if is_netcdf(file):
         return open_netcdf(file, calibration)
     if calibration is not None:
         raise ConfigError(f"a calibration belongs to OpenHSI's NetCDF files, and {file} is none.")

@@ -21,6 +21,7 @@ class Incoming:
         shape: (bands, lines, samples).
         dtype: Of a pixel in the file.
         read: (first line, line after the last) -> pixels (line, band, sample).
+        close: Lets go of the file.
         header: What the file says of itself, plain JSON.
         wavelength_nm: (bands,), where known.
         fwhm_nm: (bands,), where known.
@@ -39,6 +40,7 @@ class Incoming:
     shape: tuple[int, int, int]
     dtype: np.dtype[Any]
     read: Callable[[int, int], NDArray[Any]]
+    close: Callable[[], None]
     header: Mapping[str, Any]
     wavelength_nm: NDArray[np.float64] | None = None
     fwhm_nm: NDArray[np.float64] | None = None

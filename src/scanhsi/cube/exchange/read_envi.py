@@ -58,6 +58,7 @@ def open_envi(path: Path) -> Incoming:
         shape=(bands, lines, samples),
         dtype=dtype.newbyteorder("="),
         read=reader.read,
+        close=lambda: None,  # it is opened for each read
         header=dict(header.values),
         wavelength_nm=wavelengths(header, "wavelength", bands, notes),
         fwhm_nm=wavelengths(header, "fwhm", bands, notes),

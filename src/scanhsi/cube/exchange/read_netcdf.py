@@ -18,6 +18,8 @@ from scanhsi.devices.errors import CubeError
 _AXES: Final = {"datacube": ("wavelength", "y", "x"), "cube": ("band", "line", "sample")}
 """Name of the variable -> its dimensions as (band, line, sample): OpenHSI calls the scan direction y; ours."""
 
+_MAGIC: Final = (b"CDF", b"\x89HDF")
+
 _LARGEST_KEPT: Final = 4096
 """Values of a calibration array that are kept in the attributes of the cube."""
 
@@ -51,13 +53,22 @@ def open_netcdf(path: Path, calibration: Path | None) -> Incoming:
 
     lines, bands, samples = pixels.shape
     dtype = np.dtype(pixels.dtype).newbyteorder("=")
-    incoming = Incoming(path, "OpenHSI NetCDF", (bands, lines, samples), dtype, read, _plain(dict(dataset.attrs)))
+    incoming = Incoming(
+        path, "OpenHSI NetCDF", (bands, lines, samples), dtype, read, dataset.close, _plain(dict(dataset.attrs))
+    )
     incoming.units, incoming.quantity = pixels.attrs.get("units"), pixels.attrs.get("long_name")
     if name == "cube":
         _ours(incoming, dataset)
     else:
         _openhsi(incoming, dataset, calibration)
     return incoming
+
+
+def is_netcdf(path: Path) -> bool:
+    """Whether a file is NetCDF, by its first bytes or its ending."""
+    with path.open("rb") as file:
+        start = file.read(4)
+    return start.startswith(_MAGIC) or path.suffix.lower() in (".nc", ".nc4", ".cdf")
 
 
 def _open(path: Path) -> xr.Dataset:
@@ -112,7 +123,11 @@ def _openhsi(incoming: Incoming, dataset: xr.Dataset, calibration: Path | None) 
 
 def _apply_calibration(incoming: Incoming, path: Path) -> None:
     refuse_pickle(path)
-    dataset = _open(path)
+    with _open(path) as dataset:
+        _take_calibration(incoming, dataset, path)
+
+
+def _take_calibration(incoming: Incoming, dataset: xr.Dataset, path: Path) -> None:
     bands = incoming.shape[0]
     for name in ("wavelengths", "wavelengths_linear"):
         if incoming.wavelength_nm is None and name in dataset.variables and dataset[name].shape == (bands,):
