@@ -58,12 +58,15 @@ def test_a_move_costs_what_the_profile_says_for_its_line_and_length() -> None:
     virtually(main)
 
 
-def test_the_mirror_stands_still_until_the_host_has_sent_the_command() -> None:
+def test_the_mirror_stands_still_until_the_command_has_come_through() -> None:
     async def main() -> None:
         device = await connected(bench="still")
         mirror = bench("still").mirror
         motion = await device.move_to(100)
-        waits = DelayStreams(PROFILE, 0).delay_ns("T_rand", 0)
+        streams = DelayStreams(PROFILE, 0)
+        waits = streams.delay_ns("T_rand", 0) + streams.delay_ns("T_cmd", 0)
+        assert motion.started_ns == motion.commanded_ns + waits
+        assert waits >= device.least_latency_s(100) * 1e9 > 0
         assert mirror.position(motion.commanded_ns + waits) == 0
         assert 0 < mirror.position(motion.commanded_ns + waits + 1_000_000) < 100
         assert mirror.position(motion.moved_ns - 1) < 100
