@@ -10,6 +10,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
 
+class DestinationError(OSError):
+    """An error that knows what to try; shown to the user as it is.
+
+    Args:
+        number: As ``errno``.
+        text: What happened, harmless: no credentials, no words of a server.
+        hint: What to try.
+    """
+
+    def __init__(self, number: int, text: str, *, hint: str) -> None:
+        super().__init__(number, text)
+        self.hint = hint
+
+
 class Destination(Protocol):
     """One cube's place; `scanhsi.cube.durable.LocalDestination` is the one for folders."""
 

@@ -7,6 +7,7 @@ error may repeat them, so none of it is ever shown: errors here are made of our 
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from zarr.storage import LocalStore
 from scanhsi.devices.errors import CubeError, NotACube
 
 if TYPE_CHECKING:
+    from obstore.store import ObjectStore as ObstoreStore
     from zarr.storage import ObjectStore
 
 _URL: Final = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]*://")
@@ -120,23 +122,42 @@ def object_store(location: Location, *, read_only: bool = True) -> ObjectStore[A
     Raises:
         CubeError: As `Location.store`.
     """
+    store = raw_store(location)  # tells what to install, before zarr asks for it
+    from zarr.storage import ObjectStore
+
+    return ObjectStore(store, read_only=read_only)
+
+
+def raw_store(
+    location: Location, client: Mapping[str, Any] | None = None, retry: Mapping[str, Any] = _RETRY
+) -> ObstoreStore:
+    """Store of obstore at a URL.
+
+    Args:
+        location: The URL.
+        client: obstore's client options (timeouts, say).
+        retry: obstore's retry configuration.
+
+    Raises:
+        CubeError: As `Location.store`.
+    """
     try:
         from obstore.exceptions import BaseError
         from obstore.store import from_url
     except ImportError:
         raise CubeError(f"{location} is a URL, and obstore is not installed.", hint=_INSTALL) from None
-    from zarr.storage import ObjectStore
-
     options = dict(location.options)
     allowed = (
         options.pop("allow_http", "false").lower() == "true"
     )  # obstore wants it beside the options, and panics in them
     plain = allowed or any(text.startswith("http://") for text in (location.text, options.get("endpoint", "")))
-    settings: dict[str, Any] = {**options, "retry_config": _RETRY}
-    if plain:
-        settings["client_options"] = {"allow_http": True}
+    settings: dict[str, Any] = {**options, "retry_config": dict(retry)}
+    if client or plain:
+        # where obstore is given any of these, it takes none from the environment
+        plain = plain or os.environ.get("AWS_ALLOW_HTTP", "").lower() == "true"
+        settings["client_options"] = {**(client or {}), **({"allow_http": True} if plain else {})}
     try:
-        return ObjectStore(from_url(location.text, **settings), read_only=read_only)
+        return from_url(location.text, **settings)
     except (BaseError, ValueError, TypeError):
         names = f" with the options {sorted(location.options)}" if location.options else ""
         raise CubeError(
@@ -168,12 +189,12 @@ def remote_errors(location: Location) -> Generator[None]:
         ) from None
     except exceptions.BaseError as error:
         raise CubeError(
-            f"{location} cannot be read: {_reason(str(error))}.",
+            f"{location} cannot be read: {harmless_reason(str(error))}.",
             hint="AWS_ENDPOINT_URL (and AWS_ALLOW_HTTP=true for http) in the environment, or storage_options",
         ) from None
 
 
-def _reason(text: str) -> str:
+def harmless_reason(text: str) -> str:
     """Why, in words that are known to be harmless."""
     if status := re.search(r"status(?: code)?: (\d{3})", text):
         return f"the server answers with HTTP status {status[1]}"

@@ -1,0 +1,30 @@
+"""From what a user gives for a cube to be written, to its `Destination`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from scanhsi.cube.destination import Destination
+from scanhsi.cube.durable import LocalDestination
+from scanhsi.cube.location import locate
+
+
+def destination_of(place: str | Path | Destination, storage_options: Mapping[str, str] | None = None) -> Destination:
+    """The destination of a cube.
+
+    Args:
+        place: Path or URL (``s3://bucket/cube.zarr``) of the cube; or its destination, which is returned as it is.
+        storage_options: For URLs, see `scanhsi.cube.location.locate`.
+
+    Raises:
+        CubeError: The URL is wrong, or obstore is not installed.
+    """
+    if not isinstance(place, str | Path):
+        return place
+    location = locate(place, storage_options)
+    if (path := location.path) is not None:
+        return LocalDestination(path)
+    from scanhsi.cube.object_destination import ObjectDestination
+
+    return ObjectDestination(location)
