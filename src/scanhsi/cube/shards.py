@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from scanhsi.cube.binning import bin_lines
 from scanhsi.cube.buffers import ShardBuffer
-from scanhsi.cube.destination import Destination
+from scanhsi.cube.destination import Destination, DestinationError
 from scanhsi.cube.encoding import Codec, Encoder, encoder, index_bytes
 from scanhsi.cube.layout import RECORDS, STATUS, CubeSpec, Layout, LineVariable
 from scanhsi.cube.metadata import ROOT, Documents, encoded, line_axes, new_cube, set_lines
@@ -304,6 +304,8 @@ def disk_error(destination: Destination, error: OSError, *, needed: int) -> Cube
         error: What the system said.
         needed: Bytes that were to be written at once, at most; 0 where that is little.
     """
+    if isinstance(error, DestinationError):
+        return CubeError(f"cannot write {destination.name}: {error.strerror}.", hint=error.hint)
     if error.errno not in (errno.ENOSPC, errno.EDQUOT):
         hint = _HINTS.get(error.errno or 0, "what the system log says; the scan can be resumed when the disk is well")
         return CubeError(f"cannot write {destination.name}: {error.strerror or error}.", hint=hint)
