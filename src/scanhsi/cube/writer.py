@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scanhsi.clock import now_ns, run_blocking
 from scanhsi.cube.buffers import ShardBuffer
 from scanhsi.cube.destination import Destination
-from scanhsi.cube.durable import LocalDestination
 from scanhsi.cube.layout import RECORDS, CubeSpec, choose_layout
+from scanhsi.cube.places import destination_of
 from scanhsi.cube.records import NOT_STAMPED, STAGES, LineRecords, LineStatus
 from scanhsi.cube.resume import Interrupted, load_records, load_rows, read_interrupted
 from scanhsi.cube.shards import Codec, CubeFiles, Durability, ShardPixels, ShardRecords, disk_error
@@ -38,7 +38,8 @@ class CubeWriter:
     ``raw`` nothing), whatever the disk does.
 
     Args:
-        path: The cube, conventionally ``*.zarr``. Nothing may be there; its folder must be. Or another `Destination`.
+        path: The cube, conventionally ``*.zarr``: a path, whose folder must be there, or a URL (``s3://bucket/cube.zarr``). Nothing
+            may be there. Or another `Destination`.
         spec: Sizes, type and attributes.
         slots: Shards in memory: one fills while the others are being written.
         lines_per_shard: Lines that become safe together; by default from the size of a line, see `choose_layout`.
@@ -64,7 +65,7 @@ class CubeWriter:
             raise ValueError(f"slots must be at least 2, one to fill while one is written, not {slots}")
         self._spec = spec
         self._layout = choose_layout(spec, lines_per_shard, whole_frames=codec == "raw")
-        self._files = CubeFiles(_destination(path), spec, self._layout, codec, durability)
+        self._files = CubeFiles(destination_of(path), spec, self._layout, codec, durability)
         self._slots = slots
         self._offset_ns = clock_offset_ns
         self._shift_ns = 0  # clock of the cube, that of the session that began it, minus clock of the loop
@@ -112,7 +113,7 @@ class CubeWriter:
             NotACube: There is none.
             CubeError: It is complete, of another plan, or damaged, or another process is writing it. Nothing was touched.
         """
-        destination = _destination(path)
+        destination = destination_of(path)
         _lock(destination)
         try:
             cube = read_interrupted(destination, spec)
@@ -301,7 +302,7 @@ class CubeWriter:
             await run_blocking(0.0, self._files.finish, self._safe, attributes)
         finally:
             self._buffers = []
-            self._files.destination.unlock()
+            await run_blocking(0.0, self._files.destination.unlock)
 
     def _row(self, line: int) -> Pixels:
         per_shard = self._layout.lines_per_shard
@@ -417,10 +418,6 @@ class CubeWriter:
             "lines_stored": stored,
             "lines_missing": self._safe - stored,
         }
-
-
-def _destination(path: str | Path | Destination) -> Destination:
-    return LocalDestination(Path(path)) if isinstance(path, str | Path) else path
 
 
 def _lock(destination: Destination) -> None:
