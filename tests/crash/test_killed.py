@@ -128,7 +128,7 @@ def test_at_random_moments(tmp_path: Path, victims: Victims, codec: str, durabil
 @all_ways
 @pytest.mark.usefixtures("no_sync")
 def test_at_200_random_moments(tmp_path: Path, victims: Victims, codec: str, durability: str) -> None:
-    job = Job(str(tmp_path / "cube.zarr"), codec=codec, durability=durability, lines=60, flush_every=14)
+    job = Job(str(tmp_path / "cube.zarr"), codec=codec, durability=durability, lines=30, flush_every=14)
     tally = kill_at_random(tmp_path, victims, job, 200, f"soak {codec} {durability}")
     sys.stderr.write(f"\n{codec}, {durability}: {tally}\n")
 
