@@ -91,7 +91,7 @@ def quicklook(
     Raises:
         NotACube, CubeError: It cannot be read, holds no line yet, or none in ``white``.
     """
-    dataset = cube if isinstance(cube, xr.Dataset) else open_cube(cube)
+    dataset = cube if isinstance(cube, xr.Dataset) else open_cube(cube, chunks=None)
     missing = np.asarray(dataset["status"].values != LineStatus.STORED)
     if missing.all():
         raise CubeError(f"{_name(cube)} holds no line: there is nothing to see.")

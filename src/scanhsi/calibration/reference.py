@@ -45,7 +45,7 @@ def average(path: str | Path) -> Reference:
         NotACube, CubeError: It cannot be read.
         CalibrationError: It holds no line.
     """
-    dataset = open_cube(path)
+    dataset = open_cube(path, chunks=None)
     cube = dataset["cube"]
     saturation = cube.attrs.get("valid_max")
     stored = np.flatnonzero(np.asarray(dataset["status"].values) == LineStatus.STORED)
