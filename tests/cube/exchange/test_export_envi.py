@@ -62,6 +62,20 @@ def check(body: Path, pixels: np.ndarray, bits: int | None, wavelength_nm: np.nd
     assert np.isnan(nodata) if bits is None else nodata == 2**bits - 1
 
 
+def test_as_many_bands_as_a_sensor_has_rows(tmp_path: Path) -> None:
+    """GDAL gives up on headers with lines of more than 10000 characters, and then knows no wavelength."""
+    wavelength_nm = np.linspace(370.123456789, 948.7654321, 1088)
+    cube = make_cube(tmp_path / "c.zarr", pixels_of((1088, 2, 3), "uint16", 12), wavelength_nm=wavelength_nm)
+    export_cube(cube, tmp_path / "c.bil")
+    check(tmp_path / "c.bil", pixels_of((1088, 2, 3), "uint16", 12), 12, wavelength_nm)
+    told = subprocess.run(
+        [needed("gdalinfo", "gdal-bin"), "c.bil"], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60
+    )
+    assert told.stderr == ""
+    told_nm = [float(line.split("=")[1]) for line in told.stdout.splitlines() if line.startswith("    wavelength=")]
+    assert told_nm == wavelength_nm.tolist()
+
+
 def test_gdal_itself_translates_it(tmp_path: Path) -> None:
     """The program of the distribution, another version than the one in the wheel."""
     pixels = pixels_of((5, 6, 7), "uint16", 12)

@@ -145,7 +145,7 @@ def test_choice_of_bands(cube: Path, bands: Any, expected: list[int]) -> None:
     pixels = pixels_of((7, 12, 5), "uint16", 12)[expected, 2:-1]
     assert (cube.parent / "out.bsq").read_bytes() == pixels.tobytes()
     header = (cube.parent / "out.hdr").read_text()
-    listed = ", ".join(str(nm) for nm in WAVELENGTH_NM[expected].tolist())
+    listed = ", ".join(str(nm) for nm in WAVELENGTH_NM[expected].tolist())  # up to 8 in a row
     assert f"wavelength = {{{listed}}}" in header
 
 

@@ -28,6 +28,7 @@ DATA_TYPES: Final = {
 }
 """ENVI's numbers of the types that a pixel may have."""
 
+_IN_A_ROW: Final = 8
 _COLOURS_NM: Final = (640.0, 550.0, 460.0)
 
 
@@ -133,5 +134,7 @@ def _own_keys(source: Source) -> list[str]:
 
 
 def _braces(values: Iterable[object]) -> str:
-    text = ", ".join(str(value) for value in values)
-    return "{" + text.translate({ord("{"): "(", ord("}"): ")", ord("\n"): " "}) + "}"
+    """A list as ENVI has them, some values a line: GDAL reads no line of more than 10000 characters."""
+    words = [str(value).translate({ord("{"): "(", ord("}"): ")", ord("\n"): " "}) for value in values]
+    rows = [", ".join(words[start : start + _IN_A_ROW]) for start in range(0, len(words), _IN_A_ROW)]
+    return "{" + ",\n ".join(rows) + "}"
