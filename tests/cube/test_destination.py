@@ -114,6 +114,19 @@ def test_settle_syncs_what_was_not(cube: LocalDestination, monkeypatch: pytest.M
     assert not synced
 
 
+def test_what_a_dead_writer_left_to_the_kernel_is_synced(
+    cube: LocalDestination, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cube.put("time/c/0", [memoryview(b"x")], durable=False)
+    cube.unlock()
+    synced: list[Path] = []
+    monkeypatch.setattr(durable.os, "fsync", lambda file: synced.append(Path(f"/proc/self/fd/{file}").readlink()))
+    other = LocalDestination(cube.path)
+    other.lock()
+    other.settle()
+    assert set(synced) == {cube.path, *cube.path.rglob("*")}
+
+
 def test_create_locks_and_never_overwrites(cube: LocalDestination) -> None:
     with pytest.raises(FileExistsError):
         LocalDestination(cube.path).create({"zarr.json": b"other"})

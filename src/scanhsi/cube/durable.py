@@ -153,11 +153,16 @@ class LocalDestination:
             shutil.rmtree(building, ignore_errors=True)
 
     def lock(self) -> None:
-        """Lock the folder; remove temporary files, which nobody writes any more."""
+        """Lock the folder; remove temporary files, which nobody writes any more. `settle` syncs the others, too.
+
+        The last writer may have left them to the kernel, and died.
+        """
         if self._locked is None:
             self._locked = lock_folder(self.path)
             for leftover in self.path.rglob(f".*{PARTIAL}"):
                 leftover.unlink(missing_ok=True)
+            for path in (self.path, *self.path.rglob("*")):
+                (self._unsynced_directories if path.is_dir() else self._unsynced)[path] = None
 
     def unlock(self) -> None:
         """Let other writers in."""
@@ -226,9 +231,11 @@ class LocalDestination:
             sync_directory(directory)
 
     def free_bytes(self) -> int | None:
-        """Of the file system."""
-        existing = self.path if self.path.exists() else self.path.parent
-        return shutil.disk_usage(existing).free
+        """Of the file system, where it still answers."""
+        try:
+            return shutil.disk_usage(self.path if self.path.exists() else self.path.parent).free
+        except OSError:
+            return None
 
 
 def lock_folder(path: Path) -> int:

@@ -116,9 +116,8 @@ class CubeFiles:
             CubeExists: Something is there already; it was not touched.
             CubeError: The folder is missing, not writable, or full.
         """
-        storage = {"codec": self._codec, "durability": self.durability}
         binning = self._spec.binning
-        head = {"storage": storage, **attributes}
+        head = {"storage": self._storage, **attributes}
         if binning.factor > 1:
             head["binning"] = {"bands": binning.bands, "samples": binning.samples, "operation": "sum"}
         self._documents, files = new_cube(self._spec, self._layout, self._codec, head)
@@ -144,7 +143,7 @@ class CubeFiles:
         """
         self._documents = documents
         set_lines(documents, self._spec.lines)
-        self._annotate(attributes)
+        self._annotate({**attributes, "storage": self._storage})
         self._write_metadata()
         self._make_lanes()
 
@@ -157,6 +156,10 @@ class CubeFiles:
     def documents(self) -> Documents:
         """The ``zarr.json`` files as they are now."""
         return self._documents
+
+    @property
+    def _storage(self) -> dict[str, str]:
+        return {"codec": self._codec, "durability": self.durability}
 
     def allocate(self) -> ShardBuffer:
         """A slot: memory for the lines of one shard as the camera sends them."""
@@ -274,10 +277,10 @@ class CubeFiles:
             raise disk_error(self.destination, error, needed=100_000) from error
 
     def _delete_behind(self, reached: int) -> None:
-        """Remove chunks that no status vouches for: of a commit that failed later."""
+        """Remove chunks that no status vouches for, of a commit that failed later; a status that was written all the same first."""
         shards = -(-reached // self._layout.lines_per_shard)
         try:
-            for name, axis in line_axes(self._documents):
+            for name, axis in sorted(line_axes(self._documents), key=lambda array: array[0] != STATUS.name):
                 chunks = ((key, key.split("/")[2 + axis :]) for key in self.destination.keys(f"{name}/c"))
                 self.destination.delete([key for key, at in chunks if at and at[0].isdigit() and int(at[0]) >= shards])
         except OSError as error:
