@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.error import HTTPError, URLError
 from urllib.request import urlopen
 
@@ -49,8 +50,24 @@ class S3:
                 obstore.put(store, f"{name}/{file.relative_to(folder)}", file.read_bytes())
         return f"s3://{self.bucket}/{name}"
 
+    def contents(self, url: str) -> dict[str, bytes]:
+        """What is there below a URL."""
+        import obstore
+        from obstore.store import S3Store
 
-def settings(server: S3) -> dict[str, str]:
+        store = S3Store(self.bucket, **settings(self))
+        prefix = url.removeprefix(f"s3://{self.bucket}/")
+        paths = [str(entry["path"]) for batch in obstore.list(store, prefix) for entry in batch]
+        return {path.removeprefix(f"{prefix}/"): bytes(obstore.get(store, path).bytes()) for path in paths}
+
+    def download(self, url: str, folder: Path) -> None:
+        """Copy what is there below a URL into a new folder."""
+        for key, contents in self.contents(url).items():
+            (folder / key).parent.mkdir(parents=True, exist_ok=True)
+            (folder / key).write_bytes(contents)
+
+
+def settings(server: S3) -> dict[str, Any]:
     """What obstore must be told where the environment does not."""
     return {name.removeprefix("AWS_").lower(): value for name, value in server.environment.items()}
 
