@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import select
 import shutil
 import signal
 import sys
@@ -18,7 +19,7 @@ import pytest
 from scanhsi import clock
 from support.faults import Fault, FaultyFs
 from support.truth import check_truth
-from support.victims import MISSING, End, Job, Victims, write
+from support.victims import LINES_PER_SHARD, MISSING, End, Job, Victims, write
 
 WAYS = [(codec, durability) for codec in ("lz4", "zstd", "none", "raw") for durability in ("every shard", "at close")]
 all_ways = pytest.mark.parametrize(("codec", "durability"), WAYS)
@@ -72,10 +73,15 @@ def complete(job: Job, cube: Path) -> None:
     check_truth(cube, job.spec, MISSING)
 
 
-def kill_at(victims: Victims, job: Job, delay_s: float) -> End:
+def kill_at(victims: Victims, job: Job, sign: Path, delay_s: float) -> End:
+    """Kill a victim so much later than a file has appeared."""
     victim = os.pidfd_open(victims.start(job))  # not its number, which may be somebody else's once it is done
+    ended = select.poll()
+    ended.register(victim, select.POLLIN)
     try:
         victims.go()
+        while not sign.exists() and not ended.poll(0.2):
+            pass
         time.sleep(delay_s)
         with suppress(ProcessLookupError):
             signal.pidfd_send_signal(victim, signal.SIGKILL)
@@ -84,28 +90,40 @@ def kill_at(victims: Victims, job: Job, delay_s: float) -> End:
     return victims.end()
 
 
-def duration_of(victims: Victims, job: Job) -> float:
+def shard_duration_of(victims: Victims, job: Job) -> float:
+    """What a shard takes, about; with what creating and closing takes, that is."""
     victims.start(job)
     begin = time.monotonic()
     victims.go()
     end = victims.end()
+    duration_s = time.monotonic() - begin
     assert not end.killed
     assert end.error is None, end.error
     shutil.rmtree(job.path)
-    return time.monotonic() - begin
+    return duration_s / (job.lines / LINES_PER_SHARD)
 
 
 def kill_at_random(folder: Path, victims: Victims, job: Job, moments: int, seed: str) -> Tally:
-    """Kill so many victims, half of them once more while they resume; complete each cube."""
+    """Kill so many victims, half of them once more while they resume; complete each cube.
+
+    Moments are random ones after the status of a random shard has appeared: counted from the start most would be too early or too
+    late, for what a run takes depends on what else the computer does. One in ten is from the start on, before there is a cube.
+    """
     rng, tally, cube = random.Random(seed), Tally(), Path(job.path)
-    whole_s = min(duration_of(victims, job) for _ in range(3))
+    shard_s = min(shard_duration_of(victims, job) for _ in range(2))
+
+    def moment(first: int) -> tuple[Path, float]:
+        shard = rng.randrange(first - 1, job.lines // LINES_PER_SHARD)
+        sign = folder if rng.random() < 0.1 else cube if shard < first else cube / "status/c" / str(shard)
+        return sign, rng.uniform(0, shard_s)
+
     while tally.killed < moments:  # some are done before their moment comes
         assert tally.runs < 5 * moments
-        end = kill_at(victims, job, rng.random() ** 0.7 * whole_s)
+        end = kill_at(victims, job, *moment(0))
         lines = judge(job, cube, end)
         tally.count(end, lines, job.lines)
         if tally.runs % 2 and lines is not None and lines < job.lines:
-            again = kill_at(victims, replace(job, resume=True), rng.uniform(0, whole_s))
+            again = kill_at(victims, replace(job, resume=True), *moment(lines // LINES_PER_SHARD))
             assert (judge(job, cube, again) or 0) >= lines
             tally.killed_again += again.killed
         complete(job, cube)

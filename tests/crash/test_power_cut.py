@@ -122,3 +122,13 @@ def told_the_truth(cube: Path, job: Job) -> bool:
         if line not in bad:
             assert (pixels[:, line] == frame(job.spec, line)).all()  # pyright: ignore
     return not found.intact
+
+
+def test_resuming_takes_over_what_was_not_synced(tmp_path: Path, faulty: FaultyFs, victims: Victims, job: Job) -> None:
+    """Begun ``at close`` and killed, resumed with every shard synced: once it is closed, all of it is on disk."""
+    loose = replace(job, durability="at close")
+    cut_at(faulty, victims, loose, count_changes(faulty, loose) // 2)
+    clock.run(write(replace(job, resume=True)), virtual=True)
+    for how in HOWS:
+        faulty.power_cut(tmp_path / how, how)
+        check_complete(tmp_path / how / "cube.zarr", job.spec, MISSING)

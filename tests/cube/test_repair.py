@@ -6,21 +6,26 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from scanhsi import clock
 from scanhsi.cube.layout import CubeSpec
+from scanhsi.cube.quicklook import QuicklookSpec
 from scanhsi.cube.reader import cube_summary, open_cube, read_records
 from scanhsi.cube.records import LineRecords, LineStatus
+from scanhsi.cube.repack import repack
 from scanhsi.cube.repair import repair_cube
 from scanhsi.cube.verify import verify_cube
 from scanhsi.cube.writer import CubeWriter
 from scanhsi.devices.errors import CubeError
 from support.cubes import feed, frame, write_cube
 
-SPEC = CubeSpec(23, 9, 14, "uint16", 12, attributes={"plan": {"mode": "stepped"}})
+SPEC = CubeSpec(
+    23, 9, 14, "uint16", 12, attributes={"plan": {"mode": "stepped"}}, quicklook=QuicklookSpec(np.full((3, 9), 1 / 9))
+)
 MISSING = {2: "lost", 9: "late"}
 
 
@@ -189,3 +194,32 @@ def test_repair_tells_what_the_disk_says(cube: Path) -> None:
     (cube / "cube/zarr.json").mkdir()
     with pytest.raises(CubeError, match="cannot repair"):
         repair_cube(cube)
+
+
+def test_a_repacked_cube_keeps_its_promises(cube: Path) -> None:
+    repack(cube, codec="zstd")
+    found = verify_cube(cube)
+    assert found.intact
+    assert (found.lines_stored, found.untidy, found.leftovers) == (21, False, ())
+
+
+def test_what_a_repack_begun_leaves_is_told(cube: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The new cube beside it is verified like any other, and its half is no lie either."""
+    from scanhsi.cube.shards import CubeFiles
+
+    write = CubeFiles.write_pixels
+    shards: list[int] = []
+
+    def die(self: CubeFiles, *args: Any, **options: Any) -> Any:
+        shards.append(1)
+        if len(shards) > 2:
+            raise CubeError("the disk is gone")
+        return write(self, *args, **options)
+
+    monkeypatch.setattr(CubeFiles, "write_pixels", die)
+    with pytest.raises(CubeError, match="the disk is gone"):
+        repack(cube, codec="zstd", threads=1)
+    assert verify_cube(cube).intact
+    (half,) = [path for path in cube.parent.iterdir() if path != cube]
+    found = verify_cube(half)
+    assert not found.bad_lines

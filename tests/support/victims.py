@@ -29,6 +29,8 @@ from support.cubes import feed
 MISSING = {2: "lost", 9: "late", 10: "late"}
 """Lines that are lost in every scan here."""
 
+LINES_PER_SHARD = 6
+
 
 @dataclass(frozen=True, slots=True)
 class Job:
@@ -65,7 +67,7 @@ async def write(job: Job, tell: Any = lambda _: None) -> None:
         first = writer.next_line
     else:
         options: dict[str, Any] = {"codec": job.codec, "durability": job.durability}
-        writer, first = CubeWriter(job.path, job.spec, lines_per_shard=6, slots=2, **options), 0
+        writer, first = CubeWriter(job.path, job.spec, lines_per_shard=LINES_PER_SHARD, slots=2, **options), 0
     await writer.open(records)
     try:
         for line in range(first, job.lines):

@@ -32,7 +32,7 @@ class Damaged(Exception):
     """A file, or a piece of it, is not what it has to be. Says why."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ArrayFiles:
     """Where the pieces of one array are, from its metadata.
 

@@ -237,12 +237,16 @@ def _never_vouched(cube: Description, status: NDArray[np.uint8], certain: bool) 
     They may be good all the same where the status itself is damaged (not ``certain``): then they are nobody's to remove.
     """
     what = "lines that were cut off before they were safe" if certain else "lines whose status may have been lost"
-    for array in (cube.arrays["cube"], *cube.line_arrays):
+    pixels = cube.arrays["cube"]
+    lines_of = {pixels: pixels.chunk[1]} | {array: array.chunk[0] for array in cube.line_arrays}
+    if "quicklook" in cube.arrays:
+        lines_of[cube.arrays["quicklook"]] = pixels.chunk[1]  # its chunks are smaller, and as many
+    for array, lines in lines_of.items():
         axis = 1 if len(array.shape) == 3 else 0
         for place in np.ndindex(*array.grid()):
-            first = place[axis] * array.chunk[axis]
+            first = place[axis] * lines
             file = array.file(place)
-            if not status[first : first + array.chunk[axis]].any() and file.exists():
+            if not status[first : first + lines].any() and file.exists():
                 yield Leftover(file, what, file.stat().st_size, ours=certain)
 
 
