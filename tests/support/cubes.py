@@ -56,7 +56,7 @@ async def feed(
 
 
 async def write_cube(
-    path: Path,
+    path: Path | str,
     spec: CubeSpec,
     *,
     reach: int | None = None,
