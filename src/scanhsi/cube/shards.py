@@ -80,7 +80,10 @@ class _Lane:
 
 
 class CubeFiles:
-    """The files of one cube being written. Every method blocks; `write_pixels` may run twice at once, the others once."""
+    """The files of one cube being written. Every method blocks.
+
+    `write_pixels` and `write_columns` may run for several shards at once, the others once.
+    """
 
     def __init__(
         self,
@@ -220,18 +223,41 @@ class CubeFiles:
         Raises:
             CubeError: The status was not written.
         """
+        self.write_columns(records)
+        self.write_status(records)
+
+    def write_columns(self, records: ShardRecords) -> None:
+        """Write the per-line arrays and the picture of a shard. Several shards may be written at once, in any order.
+
+        Raises:
+            CubeError: Some of it was not written.
+        """
         shard = records.first // self._layout.lines_per_shard
         files: dict[str, bytes] = {}
-        if records.missing is not None:
-            self._annotate({"missing": {str(line): reason for line, reason in sorted(records.missing.items())}})
-            files[ROOT] = encoded(self._documents)[ROOT]
         for variable in RECORDS:
             files[f"{variable.name}/c/{shard}"] = self._line_chunk(variable, records.columns[variable.name])
         if records.picture is not None:
             files[f"quicklook/c/0/{shard}/0"] = self._picture_chunk(records.picture)
         try:
             self.destination.put_all(files, durable=self._durable)
-            status = self._line_chunk(STATUS, records.status)
+        except OSError as error:
+            raise disk_error(self.destination, error, needed=100_000) from error
+
+    def write_status(self, records: ShardRecords) -> None:
+        """Write the reasons of missing lines, then the status of a shard whose pixels and columns are there.
+
+        Shard after shard, one at a time: what has a status is always a beginning of the cube.
+
+        Raises:
+            CubeError: The status was not written.
+        """
+        shard = records.first // self._layout.lines_per_shard
+        status = self._line_chunk(STATUS, records.status)
+        try:
+            if records.missing is not None:
+                self._annotate({"missing": {str(line): reason for line, reason in sorted(records.missing.items())}})
+                root = encoded(self._documents)[ROOT]
+                self.destination.put(ROOT, [memoryview(root)], durable=self._durable)
             self.destination.put(f"status/c/{shard}", [memoryview(status)], durable=self._durable)
         except OSError as error:
             raise disk_error(self.destination, error, needed=100_000) from error

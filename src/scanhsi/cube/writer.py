@@ -2,8 +2,8 @@
 
 Lines gather in slots, preallocated buffers of one shard each. The last line of a shard starts its commit, in threads, while the
 next slots fill. A commit writes the pixels, takes the ``stored`` stamp, writes the records, then the status, each on disk before
-the next. The pixels of two shards are encoded and written at once; records and status follow in order, so what is safe is always a
-beginning of the scan. No free slot means that ``append`` waits: that is the whole back-pressure.
+the next. Several shards are under way at once, but their status is written in order, so what is safe is always a beginning of the
+scan. No free slot means that ``append`` waits: that is the whole back-pressure.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
@@ -332,13 +333,15 @@ class CubeWriter:
             await asyncio.wait([previous])
             previous = None
         failure: Exception | None = None
-        picture: NDArray[np.uint16] | None = None
+        records, stamp = None, NOT_STAMPED
         try:
             if self._failure is None:
                 picture = await run_blocking(0.0, self._files.write_pixels, self._shard_pixels(first, stop))
+                stamp = now_ns()
+                records = self._shard_records(first, start, stop, stamp, picture)
+                await run_blocking(0.0, self._files.write_columns, records)
         except Exception as error:
             failure = error
-        stamp = now_ns()
         if previous is not None:
             await asyncio.wait([previous])
         if self._failure is not None:
@@ -346,15 +349,17 @@ class CubeWriter:
         try:
             if failure is not None:
                 raise failure
-            stored = self._status[start:stop] == LineStatus.STORED
-            self._records.stamps["stored"][start:stop][stored] = stamp
-            await run_blocking(0.0, self._files.write_records, self._shard_records(first, stop, picture))
+            assert records is not None
+            records = replace(records, missing=self._new_missing(stop))
+            await run_blocking(0.0, self._files.write_status, records)
         except CubeError as error:
             self._failure = error
         except Exception as error:  # a bug, or a library that changed: it still must not vanish in a task
             self._failure = CubeError(f"cannot write lines {start} to {stop - 1} of {self.output}: {error!r}")
             self._failure.__cause__ = error
         else:
+            stored = self._status[start:stop] == LineStatus.STORED
+            self._records.stamps["stored"][start:stop][stored] = stamp
             self._records.status[start:stop] = self._status[start:stop]
             self._safe = stop
 
@@ -364,13 +369,22 @@ class CubeWriter:
         resumed = self._interrupted is not None and first <= self._interrupted.next_line < first + self.lines_per_shard
         return ShardPixels(first, buffer, lost, self._stored_rows if resumed else None)
 
-    def _shard_records(self, first: int, stop: int, picture: NDArray[np.uint16] | None) -> ShardRecords:
+    def _shard_records(
+        self, first: int, start: int, stop: int, stamp: int, picture: NDArray[np.uint16] | None
+    ) -> ShardRecords:
+        """What is known of lines ``first`` to ``stop``, of which those from ``start`` on were stored at ``stamp``."""
         lines = slice(first, stop)
         columns = {variable.name: self._column(variable.name, lines) for variable in RECORDS}
+        stored = self._status[start:stop] == LineStatus.STORED
+        columns["stored_ns"][start - first :][stored] = stamp + self._shift_ns
+        return ShardRecords(first, columns, self._status[lines].copy(), picture=picture)
+
+    def _new_missing(self, stop: int) -> dict[int, str] | None:
+        """All lines missing before ``stop``; None where the last status told them already."""
         missing = {int(line): self._records.missing[int(line)] for line in self._missing_lines(stop)}
         changed = len(missing) > self._missing_written
         self._missing_written = len(missing)
-        return ShardRecords(first, columns, self._status[lines].copy(), missing if changed else None, picture)
+        return missing if changed else None
 
     def _column(self, name: str, lines: slice) -> NDArray[Any]:
         """A per-line array as it is stored; stamps on the clock of the cube."""
