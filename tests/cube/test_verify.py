@@ -13,9 +13,11 @@ import pytest
 
 from scanhsi import clock
 from scanhsi.cube.layout import CubeSpec
+from scanhsi.cube.records import LineRecords
 from scanhsi.cube.verify import Verification, verify_cube
+from scanhsi.cube.writer import CubeWriter
 from scanhsi.devices.errors import CubeError, NotACube
-from support.cubes import write_cube
+from support.cubes import feed, write_cube
 
 SPEC = CubeSpec(23, 9, 14, "uint16", 12, wavelength_nm=np.linspace(400, 900, 9))
 MISSING = {2: "lost", 9: "late"}
@@ -175,6 +177,8 @@ def test_no_cube(tmp_path: Path) -> None:
     for path in (tmp_path / "no", tmp_path):
         with pytest.raises(NotACube):
             verify_cube(path)
+    with pytest.raises(CubeError, match="is in an object store"):
+        verify_cube("s3://bucket/cube.zarr")
 
 
 LEFT = (
@@ -228,3 +232,19 @@ def test_memory_does_not_grow_with_the_cube(tmp_path: Path) -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 0.7 * spec.lines * spec.line_bytes
+
+
+def test_a_cube_that_is_being_written_is_checked_as_far_as_it_is(tmp_path: Path) -> None:
+    async def main() -> None:
+        records = LineRecords(SPEC.lines)
+        writer = CubeWriter(tmp_path / "cube.zarr", SPEC, lines_per_shard=6)
+        await writer.open(records)
+        for start, stop in ((0, 8), (8, 13), (13, 23)):
+            await feed(writer, SPEC, records, range(start, stop), {})
+            await writer.flush()
+            found = verify_cube(tmp_path / "cube.zarr")
+            assert (found.intact, found.lines_stored, found.untidy) == (True, stop, True)
+        await writer.close()
+
+    clock.run(main(), virtual=True)
+    assert not verify_cube(tmp_path / "cube.zarr").untidy

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -26,7 +25,7 @@ def register(app: typer.Typer) -> None:
 
 
 def verify(
-    cube: Annotated[Path, typer.Argument(help="Cube to check.")],
+    cube: Annotated[str, typer.Argument(help="Cube to check: a folder.")],
     repair: Annotated[
         bool, typer.Option("--repair", help="Remove what a crash left, and finish what it interrupted. Loses nothing.")
     ] = False,

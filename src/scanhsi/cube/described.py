@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, cast
 
 from scanhsi.cube.layout import DIMENSIONS, FORMAT, STATUS
+from scanhsi.cube.location import locate
 from scanhsi.cube.pieces import ArrayFiles
 from scanhsi.devices.errors import CubeError, NotACube
 
@@ -75,6 +76,20 @@ class Description:
     def name(self, file: Path) -> str:
         """A file as people are told it: relative to the cube."""
         return file.relative_to(self.path).as_posix()
+
+
+def folder_of(place: str | Path) -> Path:
+    """The folder of a cube that is to be checked.
+
+    Raises:
+        CubeError: It is in an object store.
+    """
+    path = locate(place).path
+    if path is None:
+        raise CubeError(
+            f"{place} is in an object store; only cubes in a folder can be verified.", hint="a copy on a disk"
+        )
+    return path
 
 
 def describe(path: Path) -> Description:

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scanhsi.cube.described import METADATA, Description, describe
+from scanhsi.cube.described import METADATA, Description, describe, folder_of
 from scanhsi.cube.durable import PARTIAL, lock_folder, sync_directory, write_durably
 from scanhsi.cube.layout import STATUS
 from scanhsi.cube.metadata import set_lines
@@ -74,10 +74,10 @@ def repair_cube(
         NotACube: There is no cube.
         CubeError: The cube is being written, or cannot be changed. What was done before that stays done; nothing is lost by it.
     """
-    describe(Path(path))  # it is one
+    path = describe(folder_of(path)).path
     locked: int | None = None
     try:
-        locked = None if dry_run else lock_folder(Path(path))
+        locked = None if dry_run else lock_folder(path)
         found = verify_cube(path, threads=threads, progress=progress)
         for step in _plan(found, mark_unreadable):
             tell(step.what)

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from scanhsi.cube.described import Description, Problem, describe
+from scanhsi.cube.described import Description, Problem, describe, folder_of
 from scanhsi.cube.layout import STATUS
 from scanhsi.cube.leftovers import Leftover, find_leftovers
 from scanhsi.cube.pieces import ArrayFiles, Damaged, check_file, read_chunk
@@ -89,9 +89,9 @@ def verify_cube(path: str | Path, *, threads: int | None = None, progress: Progr
 
     Raises:
         NotACube: There is no cube.
-        CubeError: Its metadata is damaged, or newer than this scanhsi.
+        CubeError: Its metadata is damaged, or newer than this scanhsi; or it is in an object store.
     """
-    cube = describe(Path(path))
+    cube = describe(folder_of(path))
     status, problems = _status(cube)
     work = [*_pixel_work(cube, status), *_record_work(cube, status)]
     with ThreadPoolExecutor(threads or min(_MAX_THREADS, os.cpu_count() or 1)) as pool:
