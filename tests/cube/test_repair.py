@@ -223,3 +223,21 @@ def test_what_a_repack_begun_leaves_is_told(cube: Path, monkeypatch: pytest.Monk
     (half,) = [path for path in cube.parent.iterdir() if path != cube]
     found = verify_cube(half)
     assert not found.bad_lines
+
+
+def test_a_damaged_frame_of_a_raw_cube_costs_that_line(tmp_path: Path) -> None:
+    async def main() -> None:
+        records = LineRecords(SPEC.lines)
+        writer = CubeWriter(tmp_path / "cube.zarr", SPEC, lines_per_shard=6, codec="raw")
+        await writer.open(records)
+        await feed(writer, SPEC, records, range(SPEC.lines), MISSING)
+        await writer.close()
+
+    clock.run(main(), virtual=True)
+    cube = tmp_path / "cube.zarr"
+    assert verify_cube(cube).intact
+    DAMAGE["bit"](cube / "cube/c/0/1/0")
+    assert verify_cube(cube).bad_lines == (6,)
+    repair_cube(cube, mark_unreadable=True)
+    assert verify_cube(cube).intact
+    check_lines(cube, set(range(23)) - MISSING.keys() - {6})
