@@ -265,6 +265,8 @@ async def _line_period_s(scan: Scan, trigger: Trigger) -> float:
     camera = scan.camera
     if trigger is Trigger.FREE_RUN:
         shortest_s = max(scan.course.settings.exposure_s, camera.info.readout_s)
+        if isinstance(camera, HardwareTriggered):  # it knows its link, too
+            shortest_s = max(shortest_s, camera.shortest_trigger_period_s())
         return await _frame_clock(camera).set_frame_period(scan.course.period_s or shortest_s)
     triggered = require(camera, HardwareTriggered, "mode 'continuous'", name=camera.info.name)
     shortest_s = triggered.shortest_trigger_period_s()
