@@ -75,24 +75,25 @@ class Lease:
         """Whether it was acquired, and neither lost nor released."""
         return self._version is not None and self._lost is None
 
-    def acquire(self, creating: Sequence[str] | None = None) -> list[str]:
+    def acquire(self, creating: Sequence[str] | None = None, *, ours: bool = False) -> list[str]:
         """Take the cube, if nobody has it; takes up to `TTL_S` where its writer was killed on another computer.
 
         Args:
             creating: Keys that are going to be written before there is a cube; None where there is one.
+            ours: Only where this owner was the last one to have it.
 
         Returns:
             Such keys of a writer that was killed while it created the cube: they may be there.
 
         Raises:
             BlockingIOError: Somebody is writing it.
-            DestinationError: Lines of it wait in a spool, or the store cannot be used.
+            DestinationError: Lines of it wait in a spool, or another owner had it, or the store cannot be used.
         """
         self._creating = list(creating) if creating is not None else None
         self._lost = None
         _HELD.add(self.owner)
         try:
-            left = self._take()
+            left = self._take(ours)
         except BaseException:
             _HELD.discard(self.owner)
             raise
@@ -100,16 +101,21 @@ class Lease:
         threading.Thread(target=self._beat, args=(self._stop,), name="scanhsi lease").start()
         return left
 
-    def _take(self) -> list[str]:
+    def _take(self, ours: bool) -> list[str]:
         while True:
             started_s = _now_s()
-            with contextlib.suppress(Conflict):
-                self._note(self._objects.put(KEY, [self._document()], None), started_s)
-                return []
+            if not ours:
+                with contextlib.suppress(Conflict):
+                    self._note(self._objects.put(KEY, [self._document()], None), started_s)
+                    return []
             found = self._objects.get(KEY)
             if found is None:
+                if ours:
+                    raise _not_ours()
                 continue  # released in this moment
             holder, version = _decoded(found[0]), found[1]
+            if ours and holder.get("owner") != self.owner:
+                raise _not_ours()
             self._check_spool(holder)
             if not self._is_dead(holder) and not self._wait(version):
                 continue
@@ -168,13 +174,13 @@ class Lease:
         self._creating = None
         self._renew()
 
-    def _renew(self) -> None:
+    def _renew(self, retry_s: float | None = None) -> None:
         with self._renewing:
-            if self._version is None:
-                raise RuntimeError("the lease is not held")
+            if self._version is None:  # released meanwhile
+                return
             started_s = _now_s()
             try:
-                version = self._objects.put(KEY, [self._document()], self._version)
+                version = self._objects.put(KEY, [self._document()], self._version, retry_s)
             except Conflict:
                 self._lost = DestinationError(
                     errno.EBUSY,
@@ -195,15 +201,21 @@ class Lease:
         while not stop.wait(min(self._beat_s, 0.25)) and main.is_alive() and self._lost is None:
             if _now_s() >= next_s:
                 with contextlib.suppress(OSError):  # whoever writes next asks again, and tells
-                    self._renew()
+                    self._renew(retry_s=0.0)
                 next_s = _now_s() + self._beat_s
+
+    def abandon(self) -> None:
+        """Stop renewing: the lease stays, and tells others whose it was."""
+        self._stop.set()
+        self._version = None
+        _HELD.discard(self.owner)
 
     def release(self) -> None:
         """Let others have the cube at once. Where the server cannot be reached, they have it when the lease has run out."""
         self._stop.set()
         if self._version is not None and self._lost is None:
             with contextlib.suppress(OSError):
-                self._renew()  # so that it is certainly ours that is removed
+                self._renew(retry_s=2.0)  # so that it is certainly ours that is removed
                 self._objects.delete([KEY])
         self._version = None
         _HELD.discard(self.owner)
@@ -240,6 +252,14 @@ class Lease:
             "spool": self._spool,
             "creating": self._creating,
         }
+
+
+def _not_ours() -> DestinationError:
+    return DestinationError(
+        errno.EBUSY,
+        "another writer has gone on with it since",
+        hint="scanhsi info tells what is there; nothing of it was overwritten",
+    )
 
 
 def _busy(holder: dict[str, Any]) -> BlockingIOError:

@@ -93,14 +93,14 @@ class ObjectDestination:
             raise
         self.lease.created()
 
-    def lock(self) -> None:
-        """Take the lease of a cube that is there."""
+    def lock(self, *, ours: bool = False) -> None:
+        """Take the lease of a cube that is there; with ``ours`` only if this lease's owner was the last one to have it."""
         if self.lease.held:
             return
         if self._objects.version(ROOT) is None:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.name)
         self._versions, self._all_known = {}, False
-        self.lease.acquire()
+        self.lease.acquire(ours=ours)
 
     def unlock(self) -> None:
         """Give the lease back."""

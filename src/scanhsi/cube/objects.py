@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import re
+import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import timedelta
@@ -47,7 +48,8 @@ class Objects:
 
     Args:
         location: A URL.
-        retry_s: How long after the first failure a request is still tried again.
+        retry_s: How long after the first failure a request is still tried again. Once that was in vain, requests are tried once,
+            until one succeeds.
 
     Raises:
         CubeError: obstore is missing, or cannot make sense of the URL.
@@ -55,7 +57,7 @@ class Objects:
 
     def __init__(self, location: Location, *, retry_s: float = 60.0) -> None:
         self.location = location
-        self._retry_s = retry_s
+        self._retry_s = self._patience_s = retry_s
         self._stores: dict[int, ObjectStore] = {}
         self._reading = raw_store(
             location, {"timeout": timedelta(hours=1), "read_timeout": timedelta(seconds=_ATTEMPT_S)}, _NO_RETRY
@@ -69,13 +71,16 @@ class Objects:
             self._stores[megabytes] = raw_store(self.location, {"timeout": timedelta(seconds=attempt_s)}, _NO_RETRY)
         return self._stores[megabytes]
 
-    def put(self, key: str, parts: Sequence[memoryview | bytes], replaces: Version | None) -> Version:
+    def put(
+        self, key: str, parts: Sequence[memoryview | bytes], replaces: Version | None, retry_s: float | None = None
+    ) -> Version:
         """Write an object whole, in one request: an attempt that is cut short leaves nothing behind, not even hidden parts.
 
         Args:
             key: Its key.
             parts: Its contents.
             replaces: The version that is there; None where nothing may be there.
+            retry_s: Instead of the one for all requests.
 
         Raises:
             Conflict: Something else is there.
@@ -96,7 +101,7 @@ class Objects:
             return _version(result)
 
         try:
-            return self._retried(attempt)
+            return self._retried(attempt, retry_s)
         except FileNotFoundError:
             raise DestinationError(
                 errno.ENODEV, f"there is no such bucket, or it cannot be seen: {self.location}", hint="another URL"
@@ -156,22 +161,29 @@ class Objects:
                 if self.version(name) is not None:
                     self._retried(lambda name=name: obstore.delete(store, name))
 
-    def _retried(self, attempt: Callable[[], T]) -> T:
+    def _retried(self, attempt: Callable[[], T], retry_s: float | None = None) -> T:
         from obstore.exceptions import BaseError
 
-        until: float | None = None
+        patience_s = self._patience_s if retry_s is None else retry_s
+        first: float | None = None
         failures = 0
         while True:
             try:
-                return attempt()
+                result = attempt()
             except FileNotFoundError:
                 raise
             except BaseError as error:
                 now = time.monotonic()  # this runs in threads, where there is no loop whose time could be asked
-                until = now + self._retry_s if until is None else until
+                first = now if first is None else first
                 pause_s = _PAUSES_S[min(failures, len(_PAUSES_S) - 1)]
-                if not _is_transient(error) or now + pause_s > until:
-                    raise self._told(error, now - until + self._retry_s) from None
+                ending = not threading.main_thread().is_alive()
+                if ending or not _is_transient(error) or now + pause_s > first + patience_s:
+                    if retry_s is None:
+                        self._patience_s = 0.0
+                    raise self._told(error, now - first) from None
+            else:
+                self._patience_s = self._retry_s
+                return result
             failures += 1
             time.sleep(pause_s)
 
