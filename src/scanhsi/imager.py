@@ -18,6 +18,7 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from scanhsi import clock
 from scanhsi.calibration.online import online_quicklook
+from scanhsi.characterise.calibrator import Calibrator
 from scanhsi.clock import Granted, RealTime
 from scanhsi.cube import Binning, CubeSpec, CubeWriter, DiscardSink, LineSink
 from scanhsi.cube.slow import SlowSink
@@ -110,6 +111,11 @@ class Imager:
         """The actuator, for use between scans."""
         return self.instrument.actuator
 
+    @property
+    def calibrate(self) -> Calibrator:
+        """Protocols that characterise the instrument: ``await hsi.calibrate.dark("dark.nc")``."""
+        return Calibrator(self)
+
     def default_plan(self, **overrides: Any) -> ScanPlan:
         """The plan of the instrument file's ``[scan]`` table, with some fields set otherwise; see `default_plan`."""
         return default_plan(self.config, **overrides)
@@ -140,6 +146,7 @@ class Imager:
         on_progress: Callable[[Progress], None] | None = None,
         stop: asyncio.Event | None = None,
         real_time: RealTime = _NO_OPTIONS,
+        target: str | None = None,
     ) -> ScanReport:
         """Scan.
 
@@ -149,6 +156,7 @@ class Imager:
             on_progress: Called at most four times a second, in the event loop.
             stop: Set it to finish the line under way and close the cube.
             real_time: Options against lateness, for the time of the scan. What was granted is in the report and in the cube.
+            target: What is before the instrument; kept in the cube.
 
         Raises:
             OutOfRange, UnsupportedFeature, CubeExists: Refused; nothing moved, nothing was overwritten.
@@ -162,7 +170,7 @@ class Imager:
         self._scanning = True
         try:
             with clock.real_time(real_time) as granted:
-                sink = DiscardSink() if output is None else self._writer(course, plan, Path(output), granted)
+                sink = DiscardSink() if output is None else self._writer(course, plan, Path(output), granted, target)
                 report = await run_scan(
                     course,
                     self.camera,
@@ -183,7 +191,7 @@ class Imager:
             return sink
         return SlowSink(sink, lambda line: storing.delay_ns("T_store", line, pixel_format=plan.pixel_format))
 
-    def _writer(self, course: Course, plan: ScanPlan, output: Path, granted: Granted) -> LineSink:
+    def _writer(self, course: Course, plan: ScanPlan, output: Path, granted: Granted, target: str | None) -> LineSink:
         settings, roi = course.settings, course.settings.roi
         assert roi is not None, "Instrument.check fills the ROI in"
         spectral, storage = self.config.spectral, self.config.storage
@@ -202,6 +210,7 @@ class Imager:
                     "instrument": self.config.model_dump(mode="json"),
                     "devices": self.instrument.describe(),
                     "real_time": asdict(granted),
+                    **({} if target is None else {"target": target}),
                     "versions": {"scanhsi": version("scanhsi"), "python": platform.python_version()},
                 },
                 wavelength_nm=wavelength_nm,

@@ -1,8 +1,8 @@
-"""Dark and white references: the mean line of a cube."""
+"""Dark and white references: the mean line of a cube, or what a dark model says of an exposure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanhsi.calibration.conditions import Conditions
-from scanhsi.cube.reader import open_cube
-from scanhsi.cube.records import LineStatus
+from scanhsi.calibration.dark import DarkModel
+from scanhsi.calibration.frames import stack_frames
 from scanhsi.devices.errors import CalibrationError
-
-_BLOCK_BYTES = 32_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,27 +36,46 @@ class Reference:
         return {"source": self.source, "lines": self.lines, "exposure_s": self.conditions.exposure_s}
 
 
-def average(path: str | Path) -> Reference:
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelledDark:
+    """A dark model that stands in for a dark reference, at whatever exposure is asked for.
+
+    Attributes:
+        source: Its file.
+        model: The model.
+    """
+
+    source: str
+    model: DarkModel
+
+    def at(self, exposure_s: float | None) -> Reference:
+        """The dark reference of an exposure.
+
+        Raises:
+            CalibrationError: The exposure is not known, or longer than the model knows.
+        """
+        if exposure_s is None:
+            raise CalibrationError(
+                f"{self.source} gives the dark signal of an exposure, and the cube does not say which one it had.",
+                hint="a dark cube taken like the raw one",
+            )
+        mean = self.model.at(exposure_s).astype(np.float32)
+        conditions = replace(self.model.provenance.conditions, exposure_s=exposure_s)
+        return Reference(self.source, mean, self.model.frames, conditions)
+
+
+def average(path: str | Path, *, saturation: float | None = None) -> Reference:
     """Average the stored lines of a cube of raw counts, in one pass and bounded memory.
+
+    Args:
+        path: The cube.
+        saturation: Counts from which a pixel is saturated; None looks for a plateau below full scale, else takes full scale.
 
     Raises:
         NotACube, CubeError: It cannot be read.
         CalibrationError: It holds no line.
     """
-    dataset = open_cube(path, chunks=None)
-    cube = dataset["cube"]
-    saturation = cube.attrs.get("valid_max")
-    stored = np.flatnonzero(np.asarray(dataset["status"].values) == LineStatus.STORED)
-    if not stored.size:
-        raise CalibrationError(f"{path} holds no line to average.")
-    total = np.zeros((dataset.sizes["band"], dataset.sizes["sample"]))
-    saturated = np.zeros(total.shape, bool)
-    step = max(1, _BLOCK_BYTES // (total.size * cube.dtype.itemsize))
-    for lines in np.split(stored, range(step, stored.size, step)):
-        block = np.asarray(cube.isel(line=lines).values)
-        total += block.sum(axis=1, dtype=np.float64)
-        if saturation is not None:
-            saturated |= (block >= saturation).any(axis=1)
-    mean = (total / stored.size).astype(np.float32)
-    mean[saturated] = np.nan
-    return Reference(str(path), mean, int(stored.size), Conditions.of(dataset.attrs))
+    stack = stack_frames(path, saturation=saturation)
+    mean = stack.mean.astype(np.float32)
+    mean[stack.saturated] = np.nan
+    return Reference(stack.source, mean, stack.lines, stack.conditions)

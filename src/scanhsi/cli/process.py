@@ -13,8 +13,10 @@ from scanhsi.cli.output import messages, results, write_json
 from scanhsi.cli.progress import bytes_shown
 
 if TYPE_CHECKING:
+    from scanhsi.calibration.reference import ModelledDark, Reference
     from scanhsi.processing import Step
 
+_USUAL_TILE = 0.99
 _LIKE = "-reflectance"
 
 
@@ -34,12 +36,19 @@ def process(
             "--output", "-o", help="Cube to create; for many cubes the folder to create them in. [default: beside each]"
         ),
     ] = None,
-    dark: Annotated[Path | None, typer.Option(help="Dark reference: a cube at the exposure of the raw one.")] = None,
-    white: Annotated[Path | None, typer.Option(help="White reference: a cube of the tile.")] = None,
+    dark: Annotated[
+        Path | None, typer.Option(help="Dark reference: a cube at the exposure of the raw one, or a dark model (*.nc).")
+    ] = None,
+    white: Annotated[
+        Path | None, typer.Option(help="White reference: a cube of the tile, or of `scanhsi calibrate white`.")
+    ] = None,
     white_dark: Annotated[
         Path | None, typer.Option(help="Dark reference at the exposure of the white one. [default: --dark]")
     ] = None,
-    tile: Annotated[float, typer.Option(help="Reflectance of the white tile.")] = 0.99,
+    tile: Annotated[
+        float | None,
+        typer.Option(help="Reflectance of the white tile. [default: as the white reference says, or 0.99]"),
+    ] = None,
     saturation: Annotated[
         float | None, typer.Option(help="Counts from which a pixel is saturated. [default: full scale]")
     ] = None,
@@ -102,27 +111,50 @@ def _steps(
     dark: Path | None,
     white: Path | None,
     white_dark: Path | None,
-    tile: float,
+    tile: float | None,
     saturation: float | None,
     bin_bands: int | None,
 ) -> list[Step]:
-    from scanhsi.calibration.reference import average
-    from scanhsi.processing import BinBands, MaskSaturated, Reflectance, SubtractDark
+    from scanhsi.processing import BinBands, MaskSaturated, SubtractDark
 
     if white is not None and dark is None:
         raise typer.BadParameter("reflectance needs a dark reference too.", param_hint="--dark")
     steps: list[Step] = [MaskSaturated(saturation)]
     if dark is not None:
-        reference = average(dark)
+        reference = _dark(dark)
         steps.append(SubtractDark(reference))
         if white is not None:
-            below = reference if white_dark is None or white_dark == dark else average(white_dark)
-            steps.append(Reflectance(average(white), below, tile))
+            below = reference if white_dark is None or white_dark == dark else _dark(white_dark)
+            steps.append(_reflectance(white, below, tile))
     if bin_bands is not None:
         steps.append(BinBands(bin_bands))
     if len(steps) == 1:
         raise typer.BadParameter("nothing to do: give --dark, --dark with --white, or --bin-bands.")
     return steps
+
+
+def _dark(path: Path) -> Reference | ModelledDark:
+    """A dark cube's mean, or a dark model."""
+    from scanhsi.calibration.dark import DarkModel
+    from scanhsi.calibration.kinds import is_result
+    from scanhsi.calibration.reference import ModelledDark, average
+    from scanhsi.calibration.result import load
+
+    return ModelledDark(str(path), load(DarkModel, path)) if is_result(path) else average(path)
+
+
+def _reflectance(path: Path, dark: Reference | ModelledDark, tile: float | None) -> Step:
+    """By the mean of a tile's cube; or by a white reference, which brings its own dark signal and tile."""
+    from scanhsi.calibration.kinds import is_result
+    from scanhsi.calibration.reference import average
+    from scanhsi.calibration.result import load
+    from scanhsi.calibration.white import WhiteReference
+    from scanhsi.processing import Reflectance
+
+    if not is_result(path):
+        return Reflectance(average(path), dark, _USUAL_TILE if tile is None else tile)
+    result = load(WhiteReference, path)
+    return Reflectance(*result.references(str(path)), result.tile if tile is None else tile)
 
 
 def _cluster(scheduler: str | None) -> Any:

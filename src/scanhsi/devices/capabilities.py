@@ -158,7 +158,39 @@ class ForetellsEnd(Protocol):
         ...
 
 
-CAPABILITIES: tuple[type, ...] = (Sweeps, TellsStart, HardwareTriggered, FreeRunning, OverlapsReadout, ForetellsEnd)
+@runtime_checkable
+class ShowsScenes(Protocol):
+    """A simulated camera that can be put before something else, as a person would put a tile before a real one."""
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of what it can look at."""
+        ...
+
+    @property
+    def scene(self) -> str:
+        """What it looks at."""
+        ...
+
+    async def show(self, scene: str) -> None:
+        """Look at another scene from the next frame on.
+
+        Raises:
+            OutOfRange: There is none of that name.
+            DeviceBusy: It is armed.
+        """
+        ...
+
+
+CAPABILITIES: tuple[type, ...] = (
+    Sweeps,
+    TellsStart,
+    HardwareTriggered,
+    FreeRunning,
+    OverlapsReadout,
+    ForetellsEnd,
+    ShowsScenes,
+)
 
 _C = TypeVar("_C")
 
@@ -166,7 +198,13 @@ _C = TypeVar("_C")
 def capabilities_of(device: object | type) -> tuple[str, ...]:
     """Names of the optional abilities that a device, or the class of one, has."""
     kind = device if isinstance(device, type) else type(device)
-    return tuple(protocol.__name__ for protocol in CAPABILITIES if issubclass(kind, protocol))
+    return tuple(protocol.__name__ for protocol in CAPABILITIES if _has_members(kind, protocol))
+
+
+def _has_members(kind: type, protocol: type) -> bool:
+    """As ``issubclass``, which refuses protocols with properties."""
+    members = [name for name in vars(protocol) if not name.startswith("_")]
+    return all(getattr(kind, name, None) is not None for name in members)
 
 
 def require(device: object, ability: type[_C], why: str, *, name: str) -> _C:

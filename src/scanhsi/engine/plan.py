@@ -39,7 +39,10 @@ class ScanPlan(Written):
         default=PixelFormat.MONO12_PACKED, description="Pixel format on the link; 12-bit formats are stored as uint16."
     )
     mode: Mode = Field(default=Mode.STEPPED, description="sequential, stepped or continuous.")
-    step: Steps = Field(default=1, description="Motor steps from one line to the next; negative scans downwards.")
+    step: Steps = Field(
+        default=1,
+        description="Motor steps from one line to the next; negative scans downwards, 0 takes all lines at one place.",
+    )
     start: Steps | None = Field(
         default=None,
         description="Step of the first line; left out, the scan is centred on the normal of the object plane.",
@@ -61,8 +64,8 @@ class ScanPlan(Written):
     def model_post_init(self, context: object, /) -> None:
         """Refuse combinations that cannot mean anything."""
         del context
-        if self.step == 0:
-            raise ValueError("step must not be 0: the lines would all be the same")
+        if self.step == 0 and self.mode is Mode.CONTINUOUS:
+            raise ValueError("step must not be 0 in mode continuous: the mirror has to sweep")
         if self.period_s is not None and self.mode is not Mode.CONTINUOUS:
             raise ValueError(f"period is for continuous scans only; mode {self.mode} finds its own")
         if self.look_ahead is not None and self.mode is not Mode.STEPPED:

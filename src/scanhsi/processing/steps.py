@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scanhsi.calibration.reference import Reference
+from scanhsi.calibration.reference import ModelledDark, Reference
 from scanhsi.devices.errors import CalibrationError
 from scanhsi.processing.signal import Signal
 
@@ -82,9 +82,9 @@ def _mask(level: float, lines: Values) -> Values:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SubtractDark:
-    """Subtract a dark reference taken at the same exposure and gain."""
+    """Subtract a dark reference taken at the same exposure and gain, or what a dark model says of the exposure."""
 
-    dark: Reference
+    dark: Reference | ModelledDark
 
     @property
     def name(self) -> str:
@@ -93,13 +93,14 @@ class SubtractDark:
 
     def bind(self, signal: Signal) -> tuple[Signal, Bound]:
         """Same shape, dark-corrected counts."""
-        _check_fits(self.dark, signal, "dark reference", exposure=True)
+        dark = _dark_at(self.dark, signal.conditions.exposure_s)
+        _check_fits(dark, signal, "dark reference", exposure=True)
         corrected = replace(signal, dtype=_FLOAT, long_name="dark-corrected counts")
-        return corrected, partial(_subtract, self.dark.mean[:, None, :])
+        return corrected, partial(_subtract, dark.mean[:, None, :])
 
     def describe(self) -> dict[str, Any]:
         """The reference."""
-        return self.dark.describe()
+        return _described(self.dark)
 
 
 def _subtract(dark: Values, lines: Values) -> Values:
@@ -114,12 +115,12 @@ class Reflectance:
 
     Attributes:
         white: The white reference, as the camera gave it.
-        dark: Dark reference of the white one's exposure.
+        dark: Dark reference of the white one's exposure, or a dark model.
         tile: Reflectance of the tile.
     """
 
     white: Reference
-    dark: Reference
+    dark: Reference | ModelledDark
     tile: float = 1.0
 
     @property
@@ -130,26 +131,25 @@ class Reflectance:
     def bind(self, signal: Signal) -> tuple[Signal, Bound]:
         """Same shape, a ratio; nan where the tile gave no light."""
         _check_fits(self.white, signal, "white reference", exposure=False)
-        _check_fits(self.dark, signal, "dark reference of the white one", exposure=False)
-        if wrong := self.white.conditions.differences(self.dark.conditions):
-            raise CalibrationError(
-                f"{self.dark.source} is no dark reference for {self.white.source}: {', '.join(wrong)}."
-            )
+        dark = _dark_at(self.dark, self.white.conditions.exposure_s)
+        _check_fits(dark, signal, "dark reference of the white one", exposure=False)
+        if wrong := self.white.conditions.differences(dark.conditions):
+            raise CalibrationError(f"{dark.source} is no dark reference for {self.white.source}: {', '.join(wrong)}.")
         if not 0 < self.tile <= 1.5:
             raise CalibrationError(f"a tile cannot have a reflectance of {self.tile:g}.")
-        factor = self._factor(signal.conditions.exposure_s)
+        factor = self._factor(signal.conditions.exposure_s, dark)
         return replace(signal, dtype=_FLOAT, units="1", long_name="reflectance"), partial(_scale, factor)
 
-    def _factor(self, exposure_s: float | None) -> Values:
+    def _factor(self, exposure_s: float | None, dark: Reference) -> Values:
         """Reflectance of one dark-corrected count, (band, 1, sample) float32."""
         white_s = self.white.conditions.exposure_s
         ratio = white_s / exposure_s if white_s is not None and exposure_s is not None else 1.0
-        light = (self.white.mean - self.dark.mean)[:, None, :]
+        light = (self.white.mean - dark.mean)[:, None, :]
         return np.divide(_FLOAT.type(self.tile * ratio), light, out=np.full_like(light, np.nan), where=light > 0)
 
     def describe(self) -> dict[str, Any]:
         """References and tile."""
-        return {"white": self.white.describe(), "dark": self.dark.describe(), "tile": self.tile}
+        return {"white": self.white.describe(), "dark": _described(self.dark), "tile": self.tile}
 
 
 def _scale(factor: Values, lines: Values) -> Values:
@@ -193,6 +193,16 @@ def _means(rows: int, values: Values) -> Values:
     counts = np.diff(np.append(starts, len(values))).reshape(-1, *[1] * (values.ndim - 1))
     means = np.add.reduceat(values, starts, axis=0) / counts
     return means.astype(values.dtype if values.dtype.kind == "f" else _FLOAT, copy=False)
+
+
+def _dark_at(dark: Reference | ModelledDark, exposure_s: float | None) -> Reference:
+    return dark.at(exposure_s) if isinstance(dark, ModelledDark) else dark
+
+
+def _described(dark: Reference | ModelledDark) -> dict[str, Any]:
+    if isinstance(dark, Reference):
+        return dark.describe()
+    return {"source": dark.source, "model": "rate * exposure + offset", "frames": dark.model.frames}
 
 
 def _check_fits(reference: Reference, signal: Signal, what: str, *, exposure: bool) -> None:
