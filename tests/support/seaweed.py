@@ -60,6 +60,13 @@ class S3:
         paths = [str(entry["path"]) for batch in obstore.list(store, prefix) for entry in batch]
         return {path.removeprefix(f"{prefix}/"): bytes(obstore.get(store, path).bytes()) for path in paths}
 
+    def remove(self, url: str) -> None:
+        """Remove one object."""
+        import obstore
+        from obstore.store import S3Store
+
+        obstore.delete(S3Store(self.bucket, **settings(self)), url.removeprefix(f"s3://{self.bucket}/"))
+
     def download(self, url: str, folder: Path) -> None:
         """Copy what is there below a URL into a new folder."""
         for key, contents in self.contents(url).items():

@@ -22,6 +22,7 @@ if SERVER:
 
 from scanhsi import clock
 from scanhsi.cube.layout import CubeSpec
+from scanhsi.cube.places import destination_of
 from scanhsi.cube.records import LineRecords
 from scanhsi.cube.writer import CubeWriter
 from support.cubes import feed
@@ -37,12 +38,13 @@ class Job:
     """What a victim is to write.
 
     Attributes:
-        path: Of the cube.
+        path: Of the cube, or its URL.
         lines: Of it.
         codec: How pixels are stored.
         durability: When.
         resume: Whether the cube is there and to be gone on with.
         flush_every: Lines after which a pause is made, as a scan that was interrupted does; never, if 0.
+        spool: Folder that a cube at a URL is written through; none, if empty.
         fsync: Whether the disk is really asked to sync. Process death does not tell the difference, but it takes the time.
     """
 
@@ -53,6 +55,7 @@ class Job:
     resume: bool = False
     flush_every: int = 0
     fsync: bool = False
+    spool: str = ""
 
     @property
     def spec(self) -> CubeSpec:
@@ -62,12 +65,13 @@ class Job:
 async def write(job: Job, tell: Any = lambda _: None) -> None:
     """Do a job; ``tell`` is called with every line that was said to be safe."""
     records = LineRecords(job.lines)
+    place = destination_of(job.path, spool=job.spool or None)
     if job.resume:
-        writer = CubeWriter.resume(job.path, job.spec, durability=job.durability)  # pyright: ignore[reportArgumentType]
+        writer = CubeWriter.resume(place, job.spec, durability=job.durability)  # pyright: ignore[reportArgumentType]
         first = writer.next_line
     else:
         options: dict[str, Any] = {"codec": job.codec, "durability": job.durability}
-        writer, first = CubeWriter(job.path, job.spec, lines_per_shard=LINES_PER_SHARD, slots=2, **options), 0
+        writer, first = CubeWriter(place, job.spec, lines_per_shard=LINES_PER_SHARD, slots=2, **options), 0
     await writer.open(records)
     try:
         for line in range(first, job.lines):

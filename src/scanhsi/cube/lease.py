@@ -117,6 +117,8 @@ class Lease:
             if ours and holder.get("owner") != self.owner:
                 raise _not_ours()
             self._check_spool(holder)
+            if _is_held_here(holder):
+                raise _busy(holder)
             if not self._is_dead(holder) and not self._wait(version):
                 continue
             started_s = _now_s()
@@ -139,7 +141,7 @@ class Lease:
         """Whether the holder certainly does not write any more."""
         process = holder.get("process")
         if process == _this_process():
-            return holder.get("owner") not in _HELD
+            return True  # what it holds was looked at before
         return isinstance(process, dict) and _has_ended(process)  # pyright: ignore[reportUnknownArgumentType] from JSON
 
     def _wait(self, version: Version) -> bool:
@@ -264,6 +266,10 @@ def _not_ours() -> DestinationError:
 
 def _busy(holder: dict[str, Any]) -> BlockingIOError:
     return BlockingIOError(errno.EAGAIN, f"a process on {holder.get('host', 'another computer')} is writing it")
+
+
+def _is_held_here(holder: dict[str, Any]) -> bool:
+    return holder.get("process") == _this_process() and holder.get("owner") in _HELD
 
 
 def _decoded(document: bytes) -> dict[str, Any]:

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import random
-import select
-import shutil
-import signal
 import sys
-import time
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +12,9 @@ import pytest
 
 from scanhsi import clock
 from scanhsi.cube.lease import KEY as LEASE
-from scanhsi.cube.location import locate
-from scanhsi.cube.objects import Objects
 from scanhsi.cube.writer import CubeWriter
 from scanhsi.devices.errors import CubeError, CubeExists, NotACube
+from support.buckets import cube_copy, kill_after
 from support.cubes import write_cube
 from support.seaweed import S3
 from support.truth import check_complete, check_truth
@@ -34,35 +27,10 @@ def victims(server: S3) -> Iterator[Victims]:
         yield started
 
 
-def looked_at(server: S3, url: str, here: Path) -> Path | None:
-    """A copy of what is in the bucket; None where that is no cube."""
-    shutil.rmtree(here, ignore_errors=True)
-    if "zarr.json" not in server.contents(url):
-        return None
-    server.download(url, here)
-    return here
-
-
-def kill_at(victims: Victims, job: Job, key: str, delay_s: float) -> End:
-    """Kill a writer so much later than a key has appeared; a writer that is done is not killed."""
-    objects = Objects(locate(job.path))
-    victim = os.pidfd_open(victims.start(job))
-    try:
-        victims.go()
-        while not select.select([victim], [], [], 0.003)[0] and objects.version(key) is None:
-            pass
-        time.sleep(delay_s)
-        with suppress(ProcessLookupError):
-            signal.pidfd_send_signal(victim, signal.SIGKILL)
-    finally:
-        os.close(victim)
-    return victims.end()
-
-
 def judge(server: S3, job: Job, end: End, here: Path) -> int | None:
     """What is there is true, and as much as was said; the lines there are, None where there is no cube."""
     assert end.error is None, end.error
-    cube = looked_at(server, job.path, here)
+    cube = cube_copy(server, job.path, here)
     if cube is None:
         assert end.safe == 0
         return None
@@ -78,14 +46,14 @@ def kill_at_random(server: S3, victims: Victims, job: Job, here: Path, moments: 
     for run in range(moments):
         this = replace(job, path=f"{job.path}-{run}")
         key = rng.choice([LEASE, "zarr.json", *(f"status/c/{shard}" for shard in range(job.lines // 6))])
-        lines = judge(server, this, kill_at(victims, this, key, rng.uniform(0, 0.1)), here)
+        lines = judge(server, this, kill_after(victims, this, key, rng.uniform(0, 0.1)), here)
         left.append(lines)
         if lines is not None and lines < job.lines and run % 2:
             resume = replace(this, resume=True)
-            again = kill_at(victims, resume, f"status/c/{lines // 6 + 1}", rng.uniform(0, 0.1))
+            again = kill_after(victims, resume, f"status/c/{lines // 6 + 1}", rng.uniform(0, 0.1))
             assert (judge(server, this, again, here) or 0) >= lines
         complete(victims, replace(this, resume=lines is not None))
-        cube = looked_at(server, this.path, here)
+        cube = cube_copy(server, this.path, here)
         assert cube is not None
         assert check_truth(cube, this.spec, MISSING) == job.lines
     return left
@@ -119,7 +87,7 @@ def test_written_and_gone_on_with(server: S3, url: str, here: Path) -> None:
     with pytest.raises(CubeExists, match=r"s3://.* exists already; nothing was written"):
         clock.run(write_cube(url, job.spec))
     clock.run(write(replace(job, resume=True)))
-    cube = looked_at(server, url, here)
+    cube = cube_copy(server, url, here)
     assert cube is not None
     check_complete(cube, job.spec, MISSING)
     with pytest.raises(CubeError, match="is complete"):
