@@ -13,6 +13,7 @@ PYTHON ?= $(shell for python in /usr/bin/python3 python3.13 python3.12 python3.1
 VENV := .venv
 BIN := $(VENV)/bin
 PEERS := .venv-peers
+STORAGE := .venv-storage
 OUT := out
 ZARRITA := tests/interop/node_modules/.package-lock.json
 
@@ -21,7 +22,7 @@ PACKAGES_env := python3-venv
 PACKAGES_twin := python3-gi gir1.2-aravis-0.8 gcc libc6-dev libsimavr-dev libelf-dev
 PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git octave gdal-bin fuse3
 
-.PHONY: env twin scan test lint docs soak bench bench-peers clean help
+.PHONY: env twin scan test lint docs soak bench bench-peers bench-storage clean help
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -59,8 +60,11 @@ bench: $(VENV)/.dev  ## Benchmarks of the engine and the writer
 bench-peers: $(PEERS)/.installed  ## The engine side by side with those of other projects, about 8 minutes
 	$(PEERS)/bin/python tests/benchmarks/peers/run.py
 
+bench-storage: $(STORAGE)/.installed  ## Writers and readers of cubes side by side with those of other projects, about 25 minutes
+	$(STORAGE)/bin/scanhsi bench storage --output $(OUT)/bench-storage
+
 clean:  ## Remove what was built
-	rm -rf $(VENV) $(PEERS) $(OUT) tests/interop/node_modules site build dist
+	rm -rf $(VENV) $(PEERS) $(STORAGE) $(OUT) tests/interop/node_modules site build dist
 
 # --- set-up --------------------------------------------------------------------------------------------------------------
 
@@ -77,12 +81,11 @@ $(VENV)/.dev: pyproject.toml $(VENV)/bin/python
 	@touch $@ $(VENV)/.runtime
 
 # A peer that cannot be installed does not keep the others out: the table says so, and the next call tries again.
-$(PEERS)/.installed: pyproject.toml tests/benchmarks/peers/requirements.txt | system-env
-	$(PYTHON) -m venv $(PEERS)
-	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --editable .
-	@install="$(PEERS)/bin/pip install --quiet --disable-pip-version-check"; \
-	if $$install --requirement tests/benchmarks/peers/requirements.txt; then touch $@; else \
-		grep -v '^#' tests/benchmarks/peers/requirements.txt | xargs -n 1 $$install || true; fi
+$(PEERS)/.installed $(STORAGE)/.installed: .venv-%/.installed: tests/benchmarks/%/requirements.txt pyproject.toml | system-env
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/pip install --quiet --disable-pip-version-check --editable .
+	@install="$(@D)/bin/pip install --quiet --disable-pip-version-check"; \
+	if $$install --requirement $<; then touch $@; else grep -v '^#' $< | xargs -n 1 $$install || true; fi
 
 # The JavaScript reader that must open our cubes, through the node that comes with pyright.
 $(ZARRITA): tests/interop/package-lock.json | $(VENV)/.dev

@@ -103,3 +103,13 @@ def test_real_time_options_are_in_the_record(cli: Cli, mini: Path, tmp_path: Pat
     session = json.loads((tmp_path / "observations.jsonl").read_text().splitlines()[0])
     assert session["real_time"] == told["real_time"]
     assert cli(*words, "--virtual", "--real-time", "gc").code == 2
+
+
+def test_storage(cli: Cli, tmp_path: Path) -> None:
+    refused = cli("bench", "storage", "-o", tmp_path, "--writers", "lz5")
+    assert refused.code == 2
+    assert "there are floor" in refused.err
+    words = ("--writers", "floor", "--parts", "flat out", "--lines", "4", "--bands", "8", "--samples", "8")
+    told = cli("bench", "storage", "-o", tmp_path / "out", *words, "--repetitions", "1", "--json").object
+    assert [record["record"] for record in told["records"]] == ["session", "flat out"]
+    assert "error" not in told["records"][1]

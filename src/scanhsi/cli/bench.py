@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from scanhsi.cli.bench_storage import storage
 from scanhsi.cli.bench_tables import curve_table, engine_tables, lost_lines
 from scanhsi.cli.output import messages, results, write_json
 from scanhsi.cli.real_time import RealTimeOption, parsed_real_time
@@ -29,10 +30,13 @@ _Word = TypeVar("_Word", bound=StrEnum)
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    bench = typer.Typer(no_args_is_help=True, help="Measure what a line costs, and what the engine costs.")
+    bench = typer.Typer(
+        no_args_is_help=True, help="Measure what a line costs, what the engine costs, and what storing costs."
+    )
     bench.command()(lines)
     bench.command()(draw)
     bench.command()(engine)
+    bench.command()(storage)
     app.add_typer(bench, name="bench")
 
 
