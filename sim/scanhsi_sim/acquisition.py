@@ -35,12 +35,20 @@ class SimulatedFrame(Frame):
     """A frame that knows what to render once somebody asks for its pixels.
 
     Attributes:
-        steps: Lowest and highest step of the mirror during the exposure.
+        steps: Lowest and highest step of the motor during the exposure.
+        view: Lowest and highest place that the mirror looked at, in steps.
+        time_s: Middle of the exposure, since the camera connected.
+        acquisition: How many times the camera was armed since it connected.
+        scene: What the camera looks at.
         settings: Of the camera at the time, ROI filled in.
         pixels: The rendering under way or done, if it was asked for.
     """
 
     steps: tuple[int, int] = (0, 0)
+    view: tuple[float, float] = (0.0, 0.0)
+    time_s: float = 0.0
+    acquisition: int = 0
+    scene: str = ""
     settings: CameraSettings = field(default_factory=lambda: CameraSettings(0.0))
     pixels: asyncio.Future[Image] | None = None
 
@@ -215,6 +223,8 @@ class Acquisition:
             first_byte_ns=first_byte_ns,
             exposure_start_ns=shot.start_ns,
             steps=self._bench.mirror.span(shot.start_ns, shot.end_ns),
+            view=self._bench.mirror.view(shot.start_ns, shot.end_ns),
+            time_s=((shot.start_ns + shot.end_ns) / 2 - self._epoch_ns) * 1e-9,
             settings=self._settings,
         )
         weakref.finalize(frame, self._return_buffer).atexit = False

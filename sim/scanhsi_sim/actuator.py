@@ -59,7 +59,7 @@ class SimulatedActuator:
         """Take the actuator's place on the bench. The mirror stands at step 0 and is not homed, as after power-up."""
         self._bench.claim("actuator", self, self._name)
         options = self._options
-        self._bench.mirror = Mirror()
+        self._bench.mirror = Mirror(errors=options.mirror, seed=options.seed)
         self._position, self._homed, self._prepared = 0, False, None
         self._halted = asyncio.Event()  # of this event loop
         self._info = ActuatorInfo(

@@ -11,16 +11,23 @@ import weakref
 from collections.abc import Callable
 
 from scanhsi.devices.errors import DeviceBusy
+from scanhsi_sim.effects import MirrorOptions
+from scanhsi_sim.mirror import error_steps, follow
 
 _KEPT = 512  # corners of the mirror's course; exposures look back over a handful
 
 
 class Mirror:
-    """True position of the mirror over time, in steps: a polyline."""
+    """Position of the mirror over time, in steps: a polyline of where the motor is, and from it where the mirror looks."""
 
-    def __init__(self, step: int = 0) -> None:
+    def __init__(self, step: int = 0, errors: MirrorOptions | None = None, seed: int = 0) -> None:
+        """Args: step, where it stands; errors, of the mirror against the motor; seed, of its jitter."""
         self._times: list[int] = [0]
         self._steps: list[float] = [step]
+        self._lagging: list[float] = [step]  # the mirror at the same corners, with the play of the belt
+        self._corners = 1  # also those forgotten
+        self._errors = errors or MirrorOptions()
+        self._seed = seed
 
     @property
     def still_from_ns(self) -> int:
@@ -30,9 +37,15 @@ class Mirror:
     def move(self, start_ns: int, end_ns: int, step: int) -> None:
         """Turn to `step` at constant speed, from `start_ns` to `end_ns`; before, stand where the last motion ended."""
         if len(self._times) > _KEPT:
-            del self._times[: _KEPT // 2], self._steps[: _KEPT // 2]
-        self._times += [start_ns, end_ns]
-        self._steps += [self._steps[-1], step]
+            del self._times[: _KEPT // 2], self._steps[: _KEPT // 2], self._lagging[: _KEPT // 2]
+        self._add(start_ns, self._steps[-1])
+        self._add(end_ns, step)
+
+    def _add(self, when_ns: int, step: float) -> None:
+        self._times.append(when_ns)
+        self._steps.append(step)
+        self._lagging.append(follow(self._lagging[-1], step, self._errors.backlash_steps))
+        self._corners += 1
 
     def halt(self, now_ns: int) -> int:
         """Stop at once, at the nearest step, which is returned."""
@@ -40,13 +53,14 @@ class Mirror:
         step = round(place)
         keep = bisect.bisect_right(self._times, now_ns)
         if keep < len(self._times):
-            del self._times[keep:], self._steps[keep:]
-            self._times += [now_ns, now_ns]
-            self._steps += [place, step]
+            self._corners -= len(self._times) - keep
+            del self._times[keep:], self._steps[keep:], self._lagging[keep:]
+            self._add(now_ns, place)
+            self._add(now_ns, step)
         return step
 
     def position(self, when_ns: int) -> float:
-        """Position at a time, in steps."""
+        """Position of the motor at a time, in steps."""
         right = bisect.bisect_right(self._times, when_ns)
         if right == len(self._times):
             return self._steps[-1]
@@ -57,11 +71,28 @@ class Mirror:
         return self._steps[right - 1] + share * (self._steps[right] - self._steps[right - 1])
 
     def span(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """Lowest and highest step during an interval. Equal if the mirror stood still."""
+        """Lowest and highest step of the motor during an interval. Equal if it stood still."""
         inside = self._steps[bisect.bisect_right(self._times, start_ns) : bisect.bisect_left(self._times, end_ns)]
         places = [self.position(start_ns), *inside, self.position(end_ns)]
         # Times are whole ns, so positions on the way are off by up to some 1e-6 steps.
         return math.floor(min(places) + 1e-3), math.ceil(max(places) - 1e-3)
+
+    def view(self, start_ns: int, end_ns: int) -> tuple[float, float]:
+        """Lowest and highest place that the mirror looks at during an interval, in steps, errors included.
+
+        Where it stood still both are the same, and exact. Of a mirror that moves, the ends are known as well as its span.
+        """
+        low, high = self.span(start_ns, end_ns)
+        errors = self._errors
+        if errors == MirrorOptions():
+            return low, high
+        right = bisect.bisect_right(self._times, start_ns)
+        lagging = self._lagging[max(right - 1, 0)]
+        motion = (self._corners - len(self._times) + right) // 2
+        first = follow(lagging, self.position(start_ns), errors.backlash_steps)
+        last = first if low == high else follow(first, self.position(end_ns), errors.backlash_steps)
+        places = [place + error_steps(errors, place, motion, self._seed) for place in (first, last)]
+        return min(places), max(places)
 
 
 class Bench:

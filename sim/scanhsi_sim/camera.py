@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from functools import lru_cache, partial
+from dataclasses import replace
+from functools import lru_cache
 from threading import Lock
 from typing import TypeVar
 
@@ -24,14 +25,15 @@ from scanhsi.devices import (
     Trigger,
     check_settings,
 )
-from scanhsi.devices.errors import DeviceBusy, DeviceError
+from scanhsi.devices.errors import DeviceBusy, DeviceError, OutOfRange
 from scanhsi.timing.buffers import levelled_period_s, long_run_spread_s
 from scanhsi.timing.delays import DelayStreams
 from scanhsi.timing.replay import delay_streams
 from scanhsi_sim.acquisition import MEMORY_FRAMES, Acquisition, LineDelays, SimulatedFrame
 from scanhsi_sim.bench import bench
+from scanhsi_sim.effects import Setup
 from scanhsi_sim.options import CameraOptions, find_profile, sends_whole
-from scanhsi_sim.scenes import Geometry, Image, Scene, load_scene
+from scanhsi_sim.scenes import SCENES, Image, Scene, load_scene
 
 T = TypeVar("T")
 
@@ -44,8 +46,8 @@ _building = Lock()
 
 
 @lru_cache(maxsize=4)
-def _scene(name: str, geometry: Geometry, seed: int) -> Scene:
-    return load_scene(name, geometry, seed=seed)
+def _scene_of(name: str, setup: Setup) -> Scene:
+    return load_scene(name, setup=setup)
 
 
 class SimulatedCamera:
@@ -71,6 +73,7 @@ class SimulatedCamera:
         self._trigger = Trigger.SOFTWARE
         self._tasks: list[asyncio.Task[None]] = []
         self._ahead = False
+        self._armed = 0
 
     @property
     def info(self) -> CameraInfo:
@@ -84,6 +87,7 @@ class SimulatedCamera:
         self._bench.claim("camera", self, self._name)
         options = self._options
         self._epoch_ns = now_ns()
+        self._armed = 0
         self._info = CameraInfo(
             name=self._name,
             vendor="scanhsi",
@@ -100,7 +104,7 @@ class SimulatedCamera:
             simulated=True,
         )
         if not is_virtual():
-            await run_blocking(0.0, self._load)
+            await run_blocking(0.0, self._load, self._options.scene)
 
     async def close(self) -> None:
         """Disarm and leave the bench."""
@@ -142,6 +146,7 @@ class SimulatedCamera:
             on_exposed=self._exposed,
         )
         self._run, self._trigger, self._ahead = run, trigger, False
+        self._armed += 1
         self._bench.exposures = 0
         self._bench.pixel_format = settings.pixel_format
         self._tasks = [asyncio.create_task(run.transfer(), name="simulated link")]
@@ -196,7 +201,7 @@ class SimulatedCamera:
             self._ahead = not is_virtual()
             if frame.pixels is None:
                 # Not cancellable: the thread writes into `out`, which must stay the caller's until it is done.
-                await _to_the_end(run_blocking(cost_ns * 1e-9, self._render_into, out, self._job(frame)))
+                await _to_the_end(run_blocking(cost_ns * 1e-9, _fill, out, self._job(frame)))
             else:
                 image = await asyncio.shield(frame.pixels)
                 await _to_the_end(run_blocking(0.0, np.copyto, out, image))
@@ -214,6 +219,29 @@ class SimulatedCamera:
             task.cancel()
         run.end()
         await asyncio.wait(tasks)
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of what it can look at."""
+        return tuple(SCENES)
+
+    @property
+    def scene(self) -> str:
+        """What it looks at."""
+        return self._options.scene
+
+    async def show(self, scene: str) -> None:
+        """Look at another scene. In real time it is made now, which can take seconds."""
+        if self._run is not None:
+            raise DeviceBusy("it is armed.", device=self._name, operation="show", hint="disarm it first.")
+        if scene not in SCENES:
+            raise OutOfRange(
+                f"there is no scene {scene!r}; there are: {', '.join(SCENES)}.", device=self._name, operation="show"
+            )
+        self._options = self._options.model_copy(update={"scene": scene})
+        self._info = replace(self.info, model=f"simulated camera, scene {scene}")
+        if not is_virtual():
+            await run_blocking(0.0, self._load, self._options.scene)
 
     def shortest_trigger_period_s(self) -> float:
         """Exposure, read-out or transfer, whichever takes longest.
@@ -243,36 +271,34 @@ class SimulatedCamera:
         return max(settings.exposure_s + self._profile.mean_s("T_dead"), readout_s)
 
     def _exposed(self, frame: SimulatedFrame) -> None:
+        frame.scene, frame.acquisition = self._options.scene, self._armed
         if self._ahead:
-            render = partial(self._render, *self._job(frame))
-            frame.pixels = asyncio.get_running_loop().run_in_executor(None, render)
+            frame.pixels = asyncio.get_running_loop().run_in_executor(None, self._job(frame))
 
-    def _job(self, frame: SimulatedFrame) -> tuple[tuple[int, int], CameraSettings, int]:
-        return frame.steps, frame.settings, frame.index
-
-    def _render_into(self, out: Pixels, job: tuple[tuple[int, int], CameraSettings, int]) -> None:
-        np.copyto(out, self._render(*job))
-
-    def _render(self, steps: tuple[int, int], settings: CameraSettings, index: int) -> Image:
-        roi = settings.roi
+    def _job(self, frame: SimulatedFrame) -> Callable[[], Image]:
+        """What renders a frame. It does not hold the frame, whose buffer returns when its receiver lets it go."""
+        settings, roi, scene, view = frame.settings, frame.settings.roi, frame.scene, frame.view
+        index, acquisition, time_s = frame.index, frame.acquisition, frame.time_s
         assert roi is not None
-        return self._load().render(
-            *steps,
-            exposure_s=settings.exposure_s,
-            gain_db=settings.gain_db,
-            shape=roi.shape,
-            offset=(roi.band_offset, roi.sample_offset),
-            bits=settings.pixel_format.bits,
-            index=index,
-        )
 
-    def _load(self) -> Scene:
-        options = self._options
-        geometry = Geometry(
-            sensor=(options.bands, options.samples), distance_mm=options.distance_mm, normal_step=options.normal_step
-        )
+        def render() -> Image:
+            return self._load(scene).render(
+                *view,
+                exposure_s=settings.exposure_s,
+                gain_db=settings.gain_db,
+                shape=roi.shape,
+                offset=(roi.band_offset, roi.sample_offset),
+                bits=settings.pixel_format.bits,
+                index=index,
+                acquisition=acquisition,
+                time_s=time_s,
+            )
+
+        return render
+
+    def _load(self, scene: str) -> Scene:
         with _building:
-            return _scene(options.scene, geometry, options.seed)
+            return _scene_of(scene, self._options.setup())
 
     def _delays(self, settings: CameraSettings | None = None, *, streams: DelayStreams | None = None) -> LineDelays:
         settings = settings or self._configured("delays")
@@ -303,6 +329,10 @@ class OverlappingCamera(SimulatedCamera):
 def create_camera(options: CameraOptions) -> SimulatedCamera:
     """The camera that the options describe."""
     return OverlappingCamera(options) if options.overlap else SimulatedCamera(options)
+
+
+def _fill(out: Pixels, render: Callable[[], Image]) -> None:
+    np.copyto(out, render())
 
 
 async def _to_the_end(work: Awaitable[T]) -> T:

@@ -1,90 +1,137 @@
 """From reflectance to photoelectrons: lamp, lens and grating, quantum efficiency, line spread, smile and keystone."""
 
+from __future__ import annotations
+
+import math
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
+from scanhsi_sim.effects import LampOptions, OpticsOptions, Setup
 from scanhsi_sim.filters import blur
 
 Floats = NDArray[np.floating[Any]]
+Spectrum = NDArray[np.float64]
 
 BANDS_PER_CHANNEL = 5
-LSF_FWHM_NM = 2.9
-LAMP_K = 3200.0
-WHITE_PEAK_E_PER_S = 160e3
-"""Photoelectrons per second of a white tile in its brightest band: 60 % of the full well in 50 ms."""
+FWHM = 2 * math.sqrt(2 * math.log(2))
+"""Full width at half maximum of a Gaussian over its standard deviation."""
 
-_SMILE_PX = 0.8
-_KEYSTONE_PX = 0.6
-_VIGNETTING = 0.12
+_DEFAULTS = OpticsOptions()
+_SMILE_NODES = np.array([0.0, 0.5, 1.0])
 
 
-def wavelength_nm(bands: int) -> NDArray[np.float64]:
+def wavelength_nm(bands: int, dispersion: tuple[float, ...] = _DEFAULTS.wavelength_nm) -> Spectrum:
     """Wavelengths of the raw bands of the sensor, lambda(p) = 370.79 + 2.68 p - 1e-4 p^2 (paper, section 3.3).
 
     p counts channels of five raw bands: 371 to 950 nm over 1088 bands.
     """
-    p = np.arange(bands) / BANDS_PER_CHANNEL
-    return 370.79 + 2.68 * p - 1e-4 * p**2
+    channel = np.arange(bands) / BANDS_PER_CHANNEL
+    return np.asarray(np.polynomial.polynomial.polyval(channel, np.array(dispersion)), np.float64)
+
+
+def wavelengths(setup: Setup) -> Spectrum:
+    """Wavelengths of the bands of an instrument, (bands,), in the middle of the slit."""
+    return wavelength_nm(setup.geometry.sensor[0], setup.optics.wavelength_nm)
 
 
 @cache
-def table(name: str) -> NDArray[np.float64]:
+def table(name: str) -> Spectrum:
     """A data table of the package, one row a wavelength, the wavelength in nm in its first column."""
     with (files("scanhsi_sim") / "data" / name).open() as file:
         return np.loadtxt(file, delimiter=",", skiprows=1)
 
 
-def electron_rates(wavelength: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Photoelectrons per second and pixel for a white tile, shape (bands,).
-
-    Photons of a halogen lamp (Planck, 3200 K) times lens and grating times the sensor's quantum efficiency.
-    """
-    metres = wavelength * 1e-9
-    photons = metres**-4 / np.expm1(1.438777e-2 / (metres * LAMP_K))
+def efficiency(wavelength: Spectrum) -> Spectrum:
+    """Photoelectrons a photon: lens, grating and the sensor's quantum efficiency, (bands,)."""
     glass = 1 / (1 + np.exp(-(wavelength - 385) / 8))  # lenses end in the near ultraviolet
     grating = 0.35 + 0.65 * np.exp(-(((wavelength - 600) / 220) ** 2))  # blazed in the middle of its range
-    efficiency = table("cmv2000_qe.csv")
-    rates = photons * glass * grating * np.interp(wavelength, efficiency[:, 0], efficiency[:, 1])
-    return rates * (WHITE_PEAK_E_PER_S / rates.max())
+    quantum = table("cmv2000_qe.csv")
+    return glass * grating * np.interp(wavelength, quantum[:, 0], quantum[:, 1])
 
 
-def spread_lines(spectra: NDArray[np.float64], wavelength: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Spectra (bands, K) as the slit smears them: a Gaussian line spread function of 2.9 nm FWHM."""
+def electron_rates(wavelength: Spectrum, lamp: LampOptions | None = None) -> Spectrum:
+    """Photoelectrons per second and pixel for a white tile, shape (bands,).
+
+    Photons of a halogen lamp (Planck) times lens and grating times the sensor's quantum efficiency.
+    """
+    lamp = lamp or LampOptions()
+    metres = wavelength * 1e-9
+    photons = metres**-4 / np.expm1(1.438777e-2 / (metres * lamp.temperature_k))
+    rates = photons * efficiency(wavelength)
+    return rates * (lamp.white_e_per_s / rates.max())
+
+
+def spread_lines(spectra: Spectrum, wavelength: Spectrum, fwhm_nm: float = _DEFAULTS.lsf_fwhm_nm) -> Spectrum:
+    """Spectra (bands, K) as the slit smears them: a Gaussian line spread function."""
     nm_per_band = float(np.mean(np.diff(wavelength)))
-    return np.asarray(blur(spectra, (LSF_FWHM_NM / 2.3548 / nm_per_band, 0)), np.float64)
+    return np.asarray(blur(spectra, (fwhm_nm / FWHM / nm_per_band, 0)), np.float64)
+
+
+def reflected(reflectances: Spectrum, setup: Setup) -> Spectrum:
+    """Electron rates (bands, K) of surfaces in the light of the halogen lamp, smeared by the slit."""
+    wavelength = wavelengths(setup)
+    light = electron_rates(wavelength, setup.lamp)[:, None]
+    return spread_lines(reflectances * light, wavelength, setup.optics.lsf_fwhm_nm)
 
 
 class Spectrograph:
     """Images a line of mixed spectra onto the sensor, with smile, keystone and vignetting.
 
     A line is a sum over K spectra, each with its weight along the slit, so a frame is one small matrix product
-    (bands, K) @ (K, samples). Smile moves a spectrum by s(x) bands and keystone a weight by u(band) w(x) samples; both are
-    below a pixel, so their Taylor series (second order in s, first order in u w) only make K larger.
+    (bands, 5 K) @ (5 K, samples). Smile moves a spectrum by ``s(x) = smile x^2`` bands, x from -1 to 1 along the slit: spectra are
+    moved by splines at three values of s, and between these interpolated (Lagrange), within 1e-3 of a line's peak. Keystone
+    moves a weight by ``u(band) keystone x`` samples, u from -1 to 1 over the bands: a Taylor series of second order.
     """
 
-    def __init__(self, spectra: NDArray[np.float64], samples: int) -> None:
-        """Args: spectra, reflectances (bands, K) at `wavelength_nm`; samples, those of the whole sensor."""
-        bands = len(spectra)
-        wavelength = wavelength_nm(bands)
-        rates = spread_lines(spectra * electron_rates(wavelength)[:, None], wavelength)
-        slope = np.gradient(rates, axis=0)
-        skew = np.linspace(-_KEYSTONE_PX, _KEYSTONE_PX, bands)[:, None]
-        columns = [rates, slope, np.gradient(slope, axis=0) / 2, rates * skew]
-        self._columns = np.concatenate(columns, axis=1).astype(np.float32)
+    def __init__(self, rates: Spectrum, samples: int, options: OpticsOptions = _DEFAULTS) -> None:
+        """Args: rates, electrons per second (bands, K), smeared by the slit; samples, those of the whole sensor."""
+        bands = len(rates)
+        self._options = options
+        spline = CubicSpline(np.arange(bands), rates) if bands > 1 else None
+        moved = [
+            spline(np.clip(np.arange(bands) - node * options.smile_px, 0, bands - 1)) if spline else rates
+            for node in _SMILE_NODES
+        ]
+        skew = np.linspace(-1, 1, bands)[:, None]
+        columns = np.stack([*moved, rates * skew, rates * skew**2], axis=1)
+        self._columns = columns.astype(np.float32)  # (bands, 5, K)
         self._across = np.linspace(-1, 1, samples, dtype=np.float32)
 
-    def columns(self, band: int, bands: int) -> Floats:
-        """Electron rates of a range of bands, (bands, 4 K)."""
-        return self._columns[band : band + bands]
+    def columns(self, band: int, bands: int, which: NDArray[np.intp]) -> Floats:
+        """Electron rates of a range of bands, of the spectra that are seen, (bands, 5 K)."""
+        part = self._columns[band : band + bands]
+        if len(which) < part.shape[2]:
+            part = part[:, :, which]
+        return part.reshape(len(part), -1)
 
     def weights(self, abundance: Floats, sample: int) -> Floats:
-        """Weights (4 K, samples) for `columns` from abundances (K, samples), whose first sample is `sample`."""
+        """Weights (5 K, samples) for `columns` from abundances (K, samples), whose first sample is `sample`."""
         across = self._across[sample : sample + abundance.shape[1]]
-        smile = _SMILE_PX * across**2
-        lit = abundance * (1 - _VIGNETTING * across**2)
-        stretched = np.gradient(lit, axis=1) * across if lit.shape[1] > 1 else np.zeros_like(lit)
-        return np.concatenate([lit, lit * smile, lit * smile**2, stretched]).astype(np.float32)
+        lit = abundance * (1 - np.float32(self._options.vignetting) * across**2)
+        bent = [lit * weight for weight in _lagrange(across**2)]
+        slope, bend = _derivatives(lit)
+        move = np.float32(self._options.keystone_px) * across
+        return np.concatenate([*bent, -slope * move, bend * (move**2 / 2)]).astype(np.float32)
+
+
+def _lagrange(place: Floats) -> list[Floats]:
+    """Weights of the values at the smile's nodes, to interpolate at places between 0 and 1."""
+    weights: list[Floats] = []
+    for node in _SMILE_NODES:
+        others = [other for other in _SMILE_NODES if other != node]
+        weights.append(np.prod([(place - other) / (node - other) for other in others], axis=0))
+    return weights
+
+
+def _derivatives(values: Floats) -> tuple[Floats, Floats]:
+    """First and second, along the samples."""
+    if values.shape[1] < 3:
+        return np.zeros_like(values), np.zeros_like(values)
+    padded = np.pad(values, ((0, 0), (1, 1)), mode="edge")
+    before, after = padded[:, :-2], padded[:, 2:]
+    return (after - before) / 2, after - 2 * values + before

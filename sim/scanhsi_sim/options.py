@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -13,6 +14,16 @@ from scanhsi.devices.errors import ConfigError
 from scanhsi.timing.delays import DelayProfile, load_profile
 from scanhsi.timing.devices import DeviceTiming
 from scanhsi.timing.replay import BLOCK_LINES
+from scanhsi_sim.effects import (
+    LampOptions,
+    MirrorOptions,
+    OpticsOptions,
+    SensorOptions,
+    Setup,
+    TargetOptions,
+    ordered,
+)
+from scanhsi_sim.geometry import Geometry
 from scanhsi_sim.scenes import SCENES
 
 
@@ -49,13 +60,7 @@ def _known_scene(name: str) -> str:
     return name
 
 
-def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
-    if pair[0] > pair[1]:
-        raise ValueError("the smallest value comes first")
-    return pair
-
-
-Pair = Annotated[tuple[float, float], AfterValidator(_ordered)]
+Pair = Annotated[tuple[float, float], AfterValidator(ordered)]
 
 
 class _Options(BaseModel):
@@ -92,18 +97,44 @@ class CameraOptions(_Options):
     exposure_range_s: Pair = Field(default=(0.01, 2.0), description="allowed exposure times in s")
     gain_range_db: Pair = Field(default=(0.0, 25.0), description="allowed gains in dB")
     distance_mm: float = Field(default=350.0, gt=0, description="mirror to object plane, for the scene")
-    normal_step: int = Field(default=0, description="mirror step that looks straight at the scene")
+    normal_step: float = Field(default=0, description="mirror step that looks straight at the scene")
+    tilt_deg: float = Field(default=0, gt=-45, lt=45, description="of the object plane about the slit's direction")
+    pixel_mm: float = Field(default=0.155, gt=0, description="size of a sample in the object plane, straight ahead")
+    steps_per_revolution: int = Field(default=19_200, gt=0, description="of the mirror, for the scene")
+    sensor: SensorOptions = Field(
+        default_factory=SensorOptions, description="noise, dark current, hot pixels, full well"
+    )
+    optics: OpticsOptions = Field(
+        default_factory=OpticsOptions, description="dispersion, line spread, smile, keystone, blur"
+    )
+    lamp: LampOptions = Field(default_factory=LampOptions, description="brightness, and how it changes over time")
+    target: TargetOptions = Field(default_factory=TargetOptions, description="place and measures of the test targets")
+
+    def setup(self) -> Setup:
+        """All that decides what a frame shows."""
+        geometry = Geometry(
+            sensor=(self.bands, self.samples),
+            pixel_mm=self.pixel_mm,
+            distance_mm=self.distance_mm,
+            normal_step=self.normal_step,
+            steps_per_revolution=self.steps_per_revolution,
+            tilt_rad=math.radians(self.tilt_deg),
+        )
+        return Setup(geometry, self.seed, self.sensor, self.optics, self.lamp, self.target)
 
 
 class ActuatorOptions(_Options):
     """Options of the simulated actuator."""
 
     steps_per_revolution: int = Field(default=19_200, gt=0, description="steps of one turn of the mirror")
-    limits: Annotated[tuple[int, int], AfterValidator(_ordered)] = Field(
+    limits: Annotated[tuple[int, int], AfterValidator(ordered)] = Field(
         default=(-2400, 2400), description="lowest and highest step"
     )
     max_rate_steps_s: float = Field(default=4000.0, gt=0, description="highest speed of a sweep")
     home_s: float = Field(default=2.0, ge=0, description="how long homing takes")
+    mirror: MirrorOptions = Field(
+        default_factory=MirrorOptions, description="jitter, microstepping, misalignment, backlash"
+    )
 
 
 def sends_whole(options: CameraOptions, profile: DelayProfile) -> bool:

@@ -6,21 +6,25 @@ Drawing a million of those a frame would take longer than the exposure: they com
 takes a stretch that begins anywhere. Each frame's noise is white, and independent of other frames at the same pixel.
 """
 
+from __future__ import annotations
+
+import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scanhsi_sim.effects import SensorOptions
 from scanhsi_sim.scenes.base import Image
 
-FULL_WELL_E = 13_500.0
-READ_NOISE_E = 13.0
-OFFSET_E = 100.0
-"""Black level, so that noise around zero is not cut off."""
-DARK_E_PER_S = 125.0
-PRNU = 0.01
+_DEFAULTS = SensorOptions()
+FULL_WELL_E = _DEFAULTS.full_well_e
+READ_NOISE_E = _DEFAULTS.read_noise_e
+OFFSET_E = _DEFAULTS.offset_e
+DARK_E_PER_S = _DEFAULTS.dark_e_per_s
+PRNU = _DEFAULTS.prnu
 
-_HOT_SHARE = 2e-5
 _BANK = 1 << 22
 _ROWS = 32  # a block of these rows stays in the cache through all the operations on it
 _SMALL_PRODUCT = 1 << 18  # multiplications up to which OpenBLAS uses one thread
@@ -29,18 +33,46 @@ Floats = NDArray[np.floating[Any]]
 
 
 class Sensor:
-    """One sensor with its fixed pattern; deterministic for a seed and a frame index."""
+    """One sensor with its fixed pattern; deterministic for a seed and a frame's number.
 
-    def __init__(self, shape: tuple[int, int], seed: int) -> None:
-        """Args: shape, (bands, samples); seed, of the fixed pattern and the noise."""
+    Attributes:
+        options: What it was made with.
+        response: Of each pixel, 1 on average, (band, sample).
+        dark_e_per_s: Dark current, hot pixels included, (band, sample).
+        offset_e: Black level, (band, sample).
+        hot: Hot pixels, (band, sample) bool.
+        nonlinear: Those whose dark signal levels off, (band, sample) bool.
+    """
+
+    def __init__(self, shape: tuple[int, int], seed: int, options: SensorOptions = _DEFAULTS) -> None:
+        """Args: shape, (bands, samples); seed, of the fixed pattern and the noise; options, of the chip."""
         rng = np.random.Generator(np.random.Philox(key=seed))
+        self.options = options
         self._seed = seed
-        self._response = (1 + PRNU * rng.standard_normal(shape, np.float32)).astype(np.float32)
-        # Dark current has a log-normal spread; hot pixels are its far tail.
-        self._dark = DARK_E_PER_S * np.exp(0.4 * rng.standard_normal(shape, np.float32) - np.float32(0.08))
-        hot = rng.random(shape, np.float32) < _HOT_SHARE
-        self._dark[hot] *= rng.uniform(100, 2000, int(hot.sum()))
+        self.response = (1 + np.float32(options.prnu) * rng.standard_normal(shape, np.float32)).astype(np.float32)
+        spread = np.float32(options.dark_spread)
+        self.dark_e_per_s = np.float32(options.dark_e_per_s) * np.exp(
+            spread * rng.standard_normal(shape, np.float32) - spread**2 / 2
+        )
+        self.hot, self.nonlinear = _hot(shape, rng, options)
+        low, high = np.log(np.maximum(options.hot_e_per_s, 1e-9))
+        self.dark_e_per_s[self.hot] = np.exp(rng.uniform(low, high, int(self.hot.sum())))
+        self.offset_e = (options.offset_e + options.dsnu_e * rng.standard_normal(shape)).astype(np.float32)
         self._bank = rng.standard_normal(max(_BANK, 2 * shape[0] * shape[1]), np.float32)
+
+    def counts_per_electron(self, gain_db: float, bits: int) -> float:
+        """Gain K of the whole system."""
+        full = self.options.full_scale_e or self.options.full_well_e
+        return ((1 << bits) - 1) / full * 10 ** (gain_db / 20)
+
+    def dark_e(self, exposure_s: float, here: tuple[slice, slice] = (slice(None), slice(None))) -> Floats:
+        """Mean dark electrons without the offset, before the full well cuts them, (band, sample)."""
+        dark = self.dark_e_per_s[here] * np.float32(exposure_s)
+        bent = self.nonlinear[here]
+        if bent.any():
+            tau = self.options.hot_nonlinear_s
+            dark[bent] *= np.float32(tau / exposure_s * -math.expm1(-exposure_s / tau))
+        return dark
 
     def expose(
         self,
@@ -52,6 +84,7 @@ class Sensor:
         offset: tuple[int, int],
         bits: int,
         index: int,
+        acquisition: int = 0,
     ) -> Image:
         """One frame of the light ``columns @ weights``.
 
@@ -59,10 +92,11 @@ class Sensor:
             columns: (bands, K) electrons per second.
             weights: (K, samples).
             exposure_s: Exposure time.
-            gain_db: Gain; at 0 dB the full well is full scale.
+            gain_db: Gain; at 0 dB `SensorOptions.full_scale_e` electrons are full scale.
             offset: (band, sample) of the first pixel.
             bits: 8 or 12.
             index: Frame number.
+            acquisition: Seeds the noise with the index and the exposure.
 
         Returns:
             (bands, samples), uint8 for 8 bits, else uint16.
@@ -70,31 +104,58 @@ class Sensor:
         bands, samples = columns.shape[0], weights.shape[1]
         top = (1 << bits) - 1
         frame = np.empty((bands, samples), np.uint8 if bits == 8 else np.uint16)
-        scale = np.float32(top / FULL_WELL_E * 10 ** (gain_db / 20))
+        scale = np.float32(self.counts_per_electron(gain_db, bits))
         light = weights * np.float32(exposure_s)
-        noise = self._noise(index, bands * samples).reshape(bands, samples)
+        key = (index, acquisition, round(exposure_s * 1e9))
+        noise = self._noise(key, bands * samples).reshape(bands, samples)
         here = (slice(offset[0], offset[0] + bands), slice(offset[1], offset[1] + samples))
-        response, dark = self._response[here], self._dark[here]
+        response, black, dark = self.response[here], self.offset_e[here], self.dark_e(exposure_s, here)
         for first in range(0, bands, _ROWS):
             rows = slice(first, first + _ROWS)
             electrons = _product(columns[rows], light)
             electrons *= response[rows]
-            electrons += dark[rows] * np.float32(exposure_s)
-            np.clip(electrons, 0, FULL_WELL_E, out=electrons)
-            deviation = electrons + np.float32(READ_NOISE_E**2)
-            np.sqrt(deviation, out=deviation)
-            deviation *= noise[rows]
-            electrons += deviation
-            electrons += np.float32(OFFSET_E)
+            electrons += dark[rows]
+            self._add_noise(electrons, noise[rows])
+            electrons += black[rows]
             electrons *= scale
             electrons += np.float32(0.5)
             frame[rows] = np.clip(electrons, 0, top, out=electrons)
         return frame
 
-    def _noise(self, index: int, pixels: int) -> Floats:
-        rng = np.random.Generator(np.random.Philox(key=self._seed, counter=index << 64))
+    def _add_noise(self, electrons: Floats, noise: Floats) -> None:
+        """Shot and read noise, and the full well. A full pixel has no shot noise any more, only that of reading."""
+        well, read = np.float32(self.options.full_well_e), np.float32(self.options.read_noise_e)
+        np.maximum(electrons, 0, out=electrons)
+        brightest = float(electrons.max(initial=0))
+        deviation = electrons + read**2 if self.options.shot_noise else np.full_like(electrons, read**2)
+        np.sqrt(deviation, out=deviation)
+        deviation *= noise
+        electrons += deviation
+        if brightest > well - 6 * math.sqrt(well):
+            np.minimum(electrons, well + read * noise, out=electrons)
+
+    def _noise(self, key: tuple[int, int, int], pixels: int) -> Floats:
+        rng = np.random.Generator(np.random.Philox(key=self._seed, counter=np.array([0, *key], np.uint64)))
         start = int(rng.integers(0, self._bank.size - pixels + 1))
         return self._bank[start : start + pixels]
+
+
+@lru_cache(maxsize=2)
+def sensor_of(shape: tuple[int, int], seed: int, options: SensorOptions) -> Sensor:
+    """The sensor with this seed: scenes that the same camera looks at share it."""
+    return Sensor(shape, seed, options)
+
+
+def _hot(
+    shape: tuple[int, int], rng: np.random.Generator, options: SensorOptions
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Maps of hot pixels, and of those that are not linear: so many, to the pixel."""
+    size = shape[0] * shape[1]
+    places = rng.choice(size, round(options.hot_per_million * size / 1e6), replace=False, shuffle=True)
+    hot, nonlinear = np.zeros(size, bool), np.zeros(size, bool)
+    hot[places] = True
+    nonlinear[places[: round(options.hot_nonlinear * len(places))]] = True
+    return hot.reshape(shape), nonlinear.reshape(shape)
 
 
 def _product(columns: Floats, weights: Floats) -> Floats:

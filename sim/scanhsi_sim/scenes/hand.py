@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanhsi_sim import skin
+from scanhsi_sim.effects import Setup
 from scanhsi_sim.filters import blur, distance
-from scanhsi_sim.optics import wavelength_nm
+from scanhsi_sim.optics import reflected, wavelengths
 from scanhsi_sim.scenes.anatomy import FINGERS, FOREARM, METACARPALS, VEINS
 from scanhsi_sim.scenes.base import Geometry
 from scanhsi_sim.scenes.shapes import (
@@ -36,9 +37,10 @@ CLOTH, WHITE, PALE, RED, TANNED, VEIN, NAIL, GLOSS = range(8)
 _KINDS = 8
 
 
-def hand_scene(geometry: Geometry, seed: int) -> SpectralScene:
-    """The scene; `seed` changes the texture of skin and cloth and the sensor's noise."""
-    return SpectralScene(geometry, spectra(wavelength_nm(geometry.sensor[0])), HandMaps(geometry, seed), seed)
+def hand_scene(setup: Setup) -> SpectralScene:
+    """The scene; the seed changes the texture of skin and cloth and the sensor's noise."""
+    maps = HandMaps(setup.geometry, setup.seed)
+    return SpectralScene(setup, reflected(spectra(wavelengths(setup)), setup), maps)
 
 
 def spectra(wavelength: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,7 +68,7 @@ class HandMaps:
         self._geometry = geometry
         self._maps = draw(seed)
 
-    def line(self, step: int, sample: int, samples: int) -> Floats:
+    def line(self, step: float, sample: int, samples: int) -> Floats:
         """Abundances (kinds, samples) that the slit sees at a mirror step."""
         row = min(max((Y_MM[1] - self._geometry.y_mm(step)) / PITCH_MM, 0.0), self._maps.shape[1] - 1.001)
         upper, share = int(row), np.float32(row % 1)

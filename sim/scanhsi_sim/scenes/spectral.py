@@ -1,13 +1,18 @@
-"""Scenes made of spectra: every point is a mixture of a few reflectances, seen through the spectrograph by the sensor."""
+"""Scenes made of spectra: every point is a mixture of a few of them, seen through the spectrograph by the sensor."""
 
+from __future__ import annotations
+
+import math
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scanhsi_sim.optics import Spectrograph
-from scanhsi_sim.scenes.base import Geometry, Image
-from scanhsi_sim.sensor import Sensor
+from scanhsi_sim.effects import Setup
+from scanhsi_sim.lamp import brightness
+from scanhsi_sim.optics import Spectrograph, reflected
+from scanhsi_sim.scenes.base import Image
+from scanhsi_sim.sensor import sensor_of
 
 Floats = NDArray[np.floating[Any]]
 
@@ -15,24 +20,25 @@ Floats = NDArray[np.floating[Any]]
 class Maps(Protocol):
     """Where how much of each spectrum is."""
 
-    def line(self, step: int, sample: int, samples: int) -> Floats:
+    def line(self, step: float, sample: int, samples: int) -> Floats:
         """Abundances (K, samples) that the slit sees at a mirror step, from a first sample on."""
         ...
 
 
 class SpectralScene:
-    """Maps of abundance x spectra, rendered through optics and sensor."""
+    """Maps of abundance x electron rates, rendered through optics and sensor."""
 
-    def __init__(self, geometry: Geometry, spectra: NDArray[np.float64], maps: Maps, seed: int) -> None:
-        """Args: spectra, reflectances (bands, K) on the whole sensor; maps, their abundances; seed, of the noise."""
-        self._spectrograph = Spectrograph(spectra, geometry.sensor[1])
-        self._sensor = Sensor(geometry.sensor, seed)
+    def __init__(self, setup: Setup, rates: NDArray[np.float64], maps: Maps) -> None:
+        """Args: rates, electrons per second (bands, K) on the whole sensor, smeared by the slit; maps, their abundances."""
+        self._spectrograph = Spectrograph(rates, setup.geometry.sensor[1], setup.optics)
+        self._sensor = sensor_of(setup.geometry.sensor, setup.seed, setup.sensor)
+        self._setup = setup
         self._maps = maps
 
     def render(
         self,
-        step_start: int,
-        step_end: int,
+        step_start: float,
+        step_end: float,
         *,
         exposure_s: float,
         gain_db: float,
@@ -40,43 +46,41 @@ class SpectralScene:
         offset: tuple[int, int],
         bits: int,
         index: int,
+        acquisition: int = 0,
+        time_s: float = 0.0,
     ) -> Image:
         """One frame; a moving mirror blurs it by the mean over the steps it passed."""
         bands, samples = shape
-        steps = range(step_start, step_end + 1)
-        abundance = sum((self._maps.line(step, offset[1], samples) for step in steps), np.float32(0)) / np.float32(
-            len(steps)
-        )
+        steps = np.linspace(step_start, step_end, math.ceil(step_end - step_start - 1e-6) + 1).tolist()
+        abundance = np.sum([self._maps.line(step, offset[1], samples) for step in steps], axis=0)
+        seen = np.flatnonzero(np.any(abundance, axis=1))
+        share = np.float32(brightness(self._setup, time_s, index, acquisition) / len(steps))
         return self._sensor.expose(
-            self._spectrograph.columns(offset[0], bands),
-            self._spectrograph.weights(np.asarray(abundance, np.float32), offset[1]),
+            self._spectrograph.columns(offset[0], bands, seen),
+            self._spectrograph.weights(np.asarray(abundance[seen] * share, np.float32), offset[1]),
             exposure_s=exposure_s,
             gain_db=gain_db,
             offset=offset,
             bits=bits,
             index=index,
+            acquisition=acquisition,
         )
 
 
-class _Everywhere:
+class Everywhere:
     """One spectrum, all over."""
 
-    def line(self, step: int, sample: int, samples: int) -> Floats:
+    def line(self, step: float, sample: int, samples: int) -> Floats:
         """Full abundance."""
         del step, sample
         return np.ones((1, samples), np.float32)
 
 
-def _flat(geometry: Geometry, seed: int, reflectance: float) -> SpectralScene:
-    spectra = np.full((geometry.sensor[0], 1), reflectance)
-    return SpectralScene(geometry, spectra, _Everywhere(), seed)
+def even(setup: Setup, rates: NDArray[np.float64]) -> SpectralScene:
+    """The same spectrum all over, (bands,) electrons per second."""
+    return SpectralScene(setup, rates[:, None], Everywhere())
 
 
-def white_scene(geometry: Geometry, seed: int) -> SpectralScene:
-    """A white tile of 99 % reflectance, for white references."""
-    return _flat(geometry, seed, 0.99)
-
-
-def dark_scene(geometry: Geometry, seed: int) -> SpectralScene:
-    """A closed shutter, for dark references."""
-    return _flat(geometry, seed, 0.0)
+def tile(setup: Setup, reflectance: float) -> SpectralScene:
+    """A tile of the same reflectance at all wavelengths; 0 is a closed shutter."""
+    return SpectralScene(setup, reflected(np.full((setup.geometry.sensor[0], 1), reflectance), setup), Everywhere())

@@ -87,8 +87,8 @@ class TestPattern:
 
     def render(
         self,
-        step_start: int,
-        step_end: int,
+        step_start: float,
+        step_end: float,
         *,
         exposure_s: float,
         gain_db: float,
@@ -96,13 +96,15 @@ class TestPattern:
         offset: tuple[int, int],
         bits: int,
         index: int,
+        acquisition: int = 0,
+        time_s: float = 0.0,
     ) -> Image:
         """One frame: a table of the whole sensor plus one number, modulo 2**bits; about 1 ms."""
-        del exposure_s, gain_db, index
+        del exposure_s, gain_db, index, acquisition, time_s
         base = self._base(bits, step_end != step_start)
         base = base[offset[0] : offset[0] + shape[0], offset[1] : offset[1] + shape[1]]
         mask = (1 << bits) - 1
-        shift = base.dtype.type(STEP * step_start & mask)
+        shift = base.dtype.type(STEP * round(step_start) & mask)
         frame = base + shift  # uint8 wraps as it should
         if bits != 8:
             frame &= base.dtype.type(mask)
