@@ -21,6 +21,8 @@ from scanhsi.calibration.online import online_quicklook
 from scanhsi.characterise.calibrator import Calibrator
 from scanhsi.clock import Granted, RealTime
 from scanhsi.cube import Binning, CubeSpec, CubeWriter, DiscardSink, LineSink
+from scanhsi.cube.destination import Destination
+from scanhsi.cube.places import destination_of
 from scanhsi.cube.slow import SlowSink
 from scanhsi.devices import Actuator, Camera, CameraSettings
 from scanhsi.devices.errors import ConfigError, DeviceBusy
@@ -147,16 +149,21 @@ class Imager:
         stop: asyncio.Event | None = None,
         real_time: RealTime = _NO_OPTIONS,
         target: str | None = None,
+        spool: str | Path | None = None,
     ) -> ScanReport:
         """Scan.
 
         Args:
             plan: What to scan.
-            output: Path of the cube to create, which must not exist; None discards the lines.
+            output: Path of the cube to create, or its URL in an object store (``s3://bucket/cube.zarr``); it must not exist. None
+                discards the lines.
             on_progress: Called at most four times a second, in the event loop.
             stop: Set it to finish the line under way and close the cube.
             real_time: Options against lateness, for the time of the scan. What was granted is in the report and in the cube.
             target: What is before the instrument; kept in the cube.
+            spool: For URLs: local folder that what is written waits in until the server has it. Lines are stored once they are there,
+                and go on their way in the background, also when the scan is over: `scanhsi.drain` waits for that, or sends later
+                what a process that ended left.
 
         Raises:
             OutOfRange, UnsupportedFeature, CubeExists: Refused; nothing moved, nothing was overwritten.
@@ -170,7 +177,8 @@ class Imager:
         self._scanning = True
         try:
             with clock.real_time(real_time) as granted:
-                sink = DiscardSink() if output is None else self._writer(course, plan, Path(output), granted, target)
+                place = None if output is None else destination_of(output, spool=spool)
+                sink = DiscardSink() if place is None else self._writer(course, plan, place, granted, target)
                 report = await run_scan(
                     course,
                     self.camera,
@@ -191,7 +199,7 @@ class Imager:
             return sink
         return SlowSink(sink, lambda line: storing.delay_ns("T_store", line, pixel_format=plan.pixel_format))
 
-    def _writer(self, course: Course, plan: ScanPlan, output: Path, granted: Granted, target: str | None) -> LineSink:
+    def _writer(self, course: Course, plan: ScanPlan, place: Destination, granted: Granted, target: str | None) -> LineSink:
         settings, roi = course.settings, course.settings.roi
         assert roi is not None, "Instrument.check fills the ROI in"
         spectral, storage = self.config.spectral, self.config.storage
@@ -218,7 +226,7 @@ class Imager:
                 quicklook=online_quicklook(roi.bands, wavelength_nm) if storage.quicklook else None,
             )
             writer = CubeWriter(
-                output,
+                place,
                 spec,
                 lines_per_shard=storage.lines_per_shard,
                 codec=storage.codec,
