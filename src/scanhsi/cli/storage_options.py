@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -21,6 +22,12 @@ BinBandsOption = Annotated[
 ]
 BinSamplesOption = Annotated[
     str | None, typer.Option(metavar="N", help="Sum N neighbouring samples before they are stored.")
+]
+SpoolOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR", help="For OUT in an object store: local folder where what the link cannot carry yet waits, safe."
+    ),
 ]
 
 
