@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scanhsi.cli.codes import ExitCode
+from scanhsi.cli.drain import drain_shown
 from scanhsi.cli.output import messages, results, write_json
 from scanhsi.cli.real_time import RealTimeOption, parsed_real_time
 from scanhsi.cli.storage_options import (
@@ -19,6 +20,7 @@ from scanhsi.cli.storage_options import (
     CodecOption,
     DurabilityOption,
     RawOption,
+    SpoolOption,
     storage_settings,
 )
 
@@ -38,8 +40,12 @@ def scan(
         str, typer.Argument(help="Name of a shipped instrument (sensors2019, twin), or path of an instrument file.")
     ] = "sensors2019",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="OUT", help="Cube to create, conventionally *.zarr.")
+        str | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="Cube to create: a folder, conventionally *.zarr, or s3://bucket/cube.zarr."
+        ),
     ] = None,
+    spool: SpoolOption = None,
     discard: Annotated[bool, typer.Option("--discard", help="Store nothing: measure how fast it goes.")] = False,
     mode: Annotated[
         str | None, typer.Option(help="sequential (all in turn), stepped, or continuous (the mirror sweeps).")
@@ -106,6 +112,8 @@ def scan(
 
     if (output is None) != discard:
         raise typer.BadParameter("say where the cube goes with -o OUT, or --discard it; one of the two.")
+    if spool is not None and discard:
+        raise typer.BadParameter("nothing is stored with --discard.", param_hint="--spool")
     options = parsed_real_time(real_time, virtual=virtual)
     storage = storage_settings(codec, raw, durability, bin_bands, bin_samples)
     config = load_instrument(instrument, {**parsed_settings(settings or ()), **storage})
@@ -127,11 +135,17 @@ def scan(
         "look_ahead": look_ahead,
     }
     overrides = {name: value for name, value in given.items() if value is not None}
-    report = clock.run(_scan(config, default_plan(config, **overrides), output, options), virtual=virtual)
-    _finish(report, as_json=json)
+    report = clock.run(_scan(config, default_plan(config, **overrides), output, options, spool), virtual=virtual)
+    try:
+        _finish(report, as_json=json)
+    finally:
+        if spool is not None:
+            drain_shown(spool)
 
 
-async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None, options: RealTime) -> ScanReport:
+async def _scan(
+    config: InstrumentConfig, plan: ScanPlan, output: str | None, options: RealTime, spool: Path | None
+) -> ScanReport:
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
     from scanhsi.imager import open_instrument
@@ -147,10 +161,11 @@ async def _scan(config: InstrumentConfig, plan: ScanPlan, output: Path | None, o
             with shown(console) as show:
                 interrupt.scanning = True
                 try:
-                    return await imager.scan(plan, output, on_progress=show, stop=interrupt.stop, real_time=options)
+                    return await imager.scan(plan, output, on_progress=show, stop=interrupt.stop, real_time=options, spool=spool)
                 except asyncio.CancelledError:
                     if output is not None:
-                        tell(f"what was stored before is safe: scanhsi info {output}")
+                        look = f"scanhsi info {output}" if spool is None else f"scanhsi drain {spool}"
+                        tell(f"what was stored before is safe: {look}")
                     raise
                 finally:
                     interrupt.scanning = False
