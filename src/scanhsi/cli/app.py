@@ -17,6 +17,7 @@ from scanhsi import log
 from scanhsi.cli import (
     bench,
     delays,
+    drain,
     drivers,
     export,
     importing,
@@ -76,6 +77,7 @@ for _command in (
     importing,
     predict,
     delays,
+    drain,
     drivers,
     schema,
     trace,
