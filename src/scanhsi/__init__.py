@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from scanhsi.cube import open_cube
+    from scanhsi.cube.drain import drain
     from scanhsi.cube.exchange import export_cube, import_cube
     from scanhsi.devices.errors import ConfigError, CubeError, DeviceError, ScanFailed, ScanhsiError
     from scanhsi.engine import Mode, Progress, ScanPlan, ScanReport
@@ -33,6 +34,7 @@ __all__ = [
     "ScanPlan",
     "ScanReport",
     "ScanhsiError",
+    "drain",
     "export_cube",
     "import_cube",
     "open_cube",
@@ -41,6 +43,7 @@ __all__ = [
 
 _HOMES = {
     "scanhsi.cube": ("open_cube",),
+    "scanhsi.cube.drain": ("drain",),
     "scanhsi.cube.exchange": ("export_cube", "import_cube"),
     "scanhsi.devices.errors": ("ConfigError", "CubeError", "DeviceError", "ScanFailed", "ScanhsiError"),
     "scanhsi.engine": ("Mode", "Progress", "ScanPlan", "ScanReport"),
