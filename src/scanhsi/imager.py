@@ -161,8 +161,8 @@ class Imager:
             stop: Set it to finish the line under way and close the cube.
             real_time: Options against lateness, for the time of the scan. What was granted is in the report and in the cube.
             target: What is before the instrument; kept in the cube.
-            spool: For URLs: local folder that what is written waits in until the server has it. Lines are stored once they are there,
-                and go on their way in the background, also when the scan is over: `scanhsi.drain` waits for that, or sends later
+            spool: For URLs: local folder that what is written waits in until the server has it. A line is stored once it is there,
+                and goes on its way in the background, also when the scan is over: `scanhsi.drain` waits for that, or sends later
                 what a process that ended left.
 
         Raises:
@@ -199,7 +199,9 @@ class Imager:
             return sink
         return SlowSink(sink, lambda line: storing.delay_ns("T_store", line, pixel_format=plan.pixel_format))
 
-    def _writer(self, course: Course, plan: ScanPlan, place: Destination, granted: Granted, target: str | None) -> LineSink:
+    def _writer(
+        self, course: Course, plan: ScanPlan, place: Destination, granted: Granted, target: str | None
+    ) -> LineSink:
         settings, roi = course.settings, course.settings.roi
         assert roi is not None, "Instrument.check fills the ROI in"
         spectral, storage = self.config.spectral, self.config.storage

@@ -42,7 +42,10 @@ def scan(
     output: Annotated[
         str | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help="Cube to create: a folder, conventionally *.zarr, or s3://bucket/cube.zarr."
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="Cube to create: a folder, conventionally *.zarr, or s3://bucket/cube.zarr.",
         ),
     ] = None,
     spool: SpoolOption = None,
@@ -161,7 +164,9 @@ async def _scan(
             with shown(console) as show:
                 interrupt.scanning = True
                 try:
-                    return await imager.scan(plan, output, on_progress=show, stop=interrupt.stop, real_time=options, spool=spool)
+                    return await imager.scan(
+                        plan, output, on_progress=show, stop=interrupt.stop, real_time=options, spool=spool
+                    )
                 except asyncio.CancelledError:
                     if output is not None:
                         look = f"scanhsi info {output}" if spool is None else f"scanhsi drain {spool}"
