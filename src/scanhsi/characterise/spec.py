@@ -1,0 +1,93 @@
+"""The specification sheet: Table 7 of the paper, and more, every row from a stored result.
+
+A row that nothing was measured for says so; nothing is filled in from a data sheet without naming it as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Final
+
+from scanhsi.calibration.result import Provenance, Result
+from scanhsi.characterise.spec_instrument import instrument_rows
+from scanhsi.characterise.spec_rows import Row, Timing, result_rows, timing_rows
+from scanhsi.instrument import InstrumentConfig
+
+TABLE_7: Final[Mapping[str, tuple[str, str]]] = {
+    "wavelength range": ("Wavelength range", "400-1000 nm"),
+    "spectral resolution": ("Spectral resolution", "3 nm per channel, 200 channels"),
+    "exposure range": ("Exposure range", "10-1000 us (must mean ms)"),
+    "resolution": ("Resolution (max.)", "1200 x 1200"),
+    "steps": ("Steps per mirror revolution", "19,200"),
+    "rotation": ("Rotation range of the mirror", "pi/8 rad"),
+    "optics": ("Focusing optics", "5-50 mm, f/1.3"),
+    "field of view": ("Field of view", "7 x 7 cm (min.)"),
+    "depth of field": ("Depth of field", "variable"),
+    "snr": ("Signal to noise ratio", "up to 30 dB"),
+    "gain": ("Camera gain", "0-25 dB"),
+    "microstepping": ("Intensity distortion by microstepping", "< 10 % per pixel"),
+    "efficiency": ("Efficiency at 8 bit, 100 ms", "75 %"),
+    "usaf": ("USAF 1951, best resolved distance", "0.5 mm at 35 cm"),
+}
+"""Key -> title, and what the paper's table says of its instrument."""
+
+NOT_MEASURED: Final = "not measured"
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """A specification sheet.
+
+    Attributes:
+        name: Of the instrument.
+        simulated: Whether any row is of a simulated instrument.
+        table: Rows of Table 7, all of them, in its order.
+        further: What else was measured.
+        created: When, ISO 8601, UTC.
+        version: Of scanhsi.
+    """
+
+    name: str
+    simulated: bool
+    table: tuple[Row, ...]
+    further: tuple[Row, ...]
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    version: str = field(default_factory=lambda: version("scanhsi"))
+
+
+def specification(
+    results: Sequence[tuple[str, Result]],
+    *,
+    instrument: InstrumentConfig | None = None,
+    timings: Sequence[Timing] = (),
+) -> Sheet:
+    """Build the sheet.
+
+    Args:
+        results: Name of its file, and the result. Of several of a kind, the youngest is used for each row.
+        instrument: Its file, for what is not measured but set: limits, steps of a turn.
+        timings: From the bench.
+    """
+    ordered = sorted(results, key=lambda pair: _time_of(pair[1].provenance))
+    rows = [row for name, result in ordered for row in result_rows(result, name)]
+    rows += timing_rows(timings)
+    if instrument is not None:
+        measured = {row.key for row in rows}
+        rows += [row for row in instrument_rows(instrument) if row.key not in measured]
+    youngest = {row.key: row for row in rows}  # later ones replace earlier ones
+    table = tuple(
+        replace(youngest[key], title=title, paper=paper)
+        if key in youngest
+        else Row(key, title, NOT_MEASURED, paper=paper)
+        for key, (title, paper) in TABLE_7.items()
+    )
+    further = tuple(row for key, row in youngest.items() if key not in TABLE_7)
+    simulated = any(row.simulated for row in (*table, *further))
+    return Sheet(instrument.name if instrument else "line-scanning imager", simulated, table, further)
+
+
+def _time_of(provenance: Provenance) -> str:
+    return provenance.taken or provenance.created
