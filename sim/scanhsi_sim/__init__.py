@@ -4,8 +4,9 @@ from scanhsi.devices import Actuator, Backend, Camera
 from scanhsi_sim.actuator import SimulatedActuator
 from scanhsi_sim.camera import OverlappingCamera, create_camera
 from scanhsi_sim.options import ActuatorOptions, CameraOptions, actuator_timing, camera_timing
+from scanhsi_sim.truth import Truth, truth
 
-__all__ = ["ActuatorOptions", "CameraOptions", "actuator_backend", "camera_backend"]
+__all__ = ["ActuatorOptions", "CameraOptions", "Truth", "actuator_backend", "camera_backend", "truth"]
 
 camera_backend: Backend[Camera] = Backend(
     summary="Simulated hyperspectral camera: delays of a profile, pixels of a scene",

@@ -33,7 +33,7 @@ from scanhsi_sim.acquisition import MEMORY_FRAMES, Acquisition, LineDelays, Simu
 from scanhsi_sim.bench import bench
 from scanhsi_sim.effects import Setup
 from scanhsi_sim.options import CameraOptions, find_profile, sends_whole
-from scanhsi_sim.scenes import SCENES, Image, Scene, load_scene
+from scanhsi_sim.scenes import COLD_LAMP, SCENES, Image, Scene, load_scene
 
 T = TypeVar("T")
 
@@ -73,7 +73,7 @@ class SimulatedCamera:
         self._trigger = Trigger.SOFTWARE
         self._tasks: list[asyncio.Task[None]] = []
         self._ahead = False
-        self._armed = 0
+        self._armed, self._shown_s = 0, 0.0
 
     @property
     def info(self) -> CameraInfo:
@@ -87,7 +87,7 @@ class SimulatedCamera:
         self._bench.claim("camera", self, self._name)
         options = self._options
         self._epoch_ns = now_ns()
-        self._armed = 0
+        self._armed, self._shown_s = 0, 0.0
         self._info = CameraInfo(
             name=self._name,
             vendor="scanhsi",
@@ -239,6 +239,7 @@ class SimulatedCamera:
                 f"there is no scene {scene!r}; there are: {', '.join(SCENES)}.", device=self._name, operation="show"
             )
         self._options = self._options.model_copy(update={"scene": scene})
+        self._shown_s = (now_ns() - self._epoch_ns) * 1e-9
         self._info = replace(self.info, model=f"simulated camera, scene {scene}")
         if not is_virtual():
             await run_blocking(0.0, self._load, self._options.scene)
@@ -272,6 +273,8 @@ class SimulatedCamera:
 
     def _exposed(self, frame: SimulatedFrame) -> None:
         frame.scene, frame.acquisition = self._options.scene, self._armed
+        if frame.scene == COLD_LAMP:
+            frame.time_s -= self._shown_s
         if self._ahead:
             frame.pixels = asyncio.get_running_loop().run_in_executor(None, self._job(frame))
 

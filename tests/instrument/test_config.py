@@ -184,7 +184,7 @@ class TestProblems:
 
 
 def test_shipped_instruments_are_valid() -> None:
-    assert shipped() == ["sensors2019", "twin"]
+    assert shipped() == ["characterise", "sensors2019", "twin"]
     for name in shipped():
         assert load_instrument(name).name == name
 

@@ -441,7 +441,7 @@ def test_it_is_found_by_its_entry_point() -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ({"scene": "foot"}, "there is no scene 'foot'; there are: dark, hand, testpattern, white"),
+        ({"scene": "foot"}, "there is no scene 'foot'; there are: amsler, cold-lamp, colour-checker"),
         ({"profile": "sensors2018"}, "there is no delay profile 'sensors2018'; there are: ideal, sensors2019"),
         ({"profile": "/none.json"}, "/none.json: cannot read the delay profile"),
         ({"exposure_range_s": (1, 0.1)}, "the smallest value comes first"),
