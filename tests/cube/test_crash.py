@@ -9,7 +9,7 @@ import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -48,19 +48,19 @@ def check_cube(path: Path, spec: CubeSpec) -> int:
 @pytest.fixture
 def die_at_write(monkeypatch: pytest.MonkeyPatch) -> Callable[[int | None], list[str]]:
     """``die_at_write(n)``: the n-th file that is written, and every later one, is not; returns the names written."""
-    write = durable.write_whole
+    give_name = durable.give_name
     monkeypatch.setattr(durable.os, "fsync", lambda _: None)  # only the order matters here, not the disk
 
     def arm(count: int | None) -> list[str]:
         written: list[str] = []
 
-        def write_or_die(path: Path, parts: Sequence[memoryview], **how: bool) -> list[Path]:
+        def name_or_die(temporary: Path, path: Path) -> None:
             if count is not None and len(written) >= count:
                 raise OSError(errno.EIO, "the disk is gone")
             written.append(str(path))
-            return write(path, parts, **how)
+            give_name(temporary, path)
 
-        monkeypatch.setattr(durable, "write_whole", write_or_die)
+        monkeypatch.setattr(durable, "give_name", name_or_die)
         return written
 
     return arm

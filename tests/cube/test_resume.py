@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import itertools
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -130,19 +130,19 @@ def open_group(path: Path, name: str) -> Any:
 @pytest.mark.parametrize("codec", ["lz4", "raw"])
 def test_died_between_any_two_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codec: Any) -> None:
     """Whatever file was the last one: what was stored stays as it was, and the cube is completed."""
-    write = durable.write_whole
+    give_name = durable.give_name
     path = tmp_path / "cube.zarr"
     for count in range(40, 140, 5):
         left = [count]
 
-        def write_or_die(file: Path, parts: Sequence[memoryview], left: list[int] = left, **how: bool) -> list[Path]:
+        def name_or_die(temporary: Path, path: Path, left: list[int] = left) -> None:
             left[0] -= 1
             if left[0] < 0:
                 raise OSError(errno.ENOSPC, "full")
-            return write(file, parts, **how)
+            give_name(temporary, path)
 
         with monkeypatch.context() as patch:
-            patch.setattr(durable, "write_whole", write_or_die)
+            patch.setattr(durable, "give_name", name_or_die)
             with pytest.raises(CubeError, match="is full"):
                 clock.run(begin(path, SPEC, SPEC.lines, lines_per_shard=4, codec=codec), virtual=True)
         before = read_records(path)

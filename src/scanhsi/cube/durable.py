@@ -22,7 +22,10 @@ ALIGNMENT: Final = 4096
 PARTIAL: Final = ".partial"
 """Names of files that are being written end in this, and begin with a dot: ``.0.<random>.partial``."""
 
+_NEW: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+
 _MAX_PARTS: Final = 64
+_MAX_FILES: Final = 64
 
 
 def write_durably(path: Path, data: bytes | bytearray | memoryview) -> None:
@@ -42,10 +45,10 @@ def write_whole(path: Path, parts: Sequence[memoryview], *, durable: bool = True
         OSError: The disk is full, or gone, or with ``direct`` does not know direct writes (EINVAL); nothing is left behind.
     """
     changed = _make_directories(path.parent)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}{PARTIAL}")
+    temporary = _temporary(path)
     try:
         _write(temporary, parts, durable=durable, direct=direct)
-        temporary.replace(path)
+        give_name(temporary, path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -53,9 +56,50 @@ def write_whole(path: Path, parts: Sequence[memoryview], *, durable: bool = True
     return changed
 
 
+def write_all_durably(files: Mapping[Path, bytes]) -> None:
+    """Write small files, each as `write_durably` does; those written so far may have got their names when it fails.
+
+    First the contents of all, then the names of all: one by one each sync would wait for a commit of its own of the file system's
+    journal; like this the first one commits for the others, too.
+
+    Raises:
+        OSError: The disk is full, or gone.
+    """
+    temporary = {path: _temporary(path) for path in files}
+    changed: dict[Path, None] = {}
+    try:
+        with contextlib.ExitStack() as opened:
+            descriptors: list[int] = []
+            for path, data in files.items():
+                changed |= dict.fromkeys(_make_directories(path.parent))
+                descriptors.append(os.open(temporary[path], _NEW, 0o666))
+                opened.callback(os.close, descriptors[-1])
+                _write_parts(descriptors[-1], [memoryview(data)], direct=False)
+                os.posix_fadvise(descriptors[-1], 0, 0, os.POSIX_FADV_DONTNEED)  # begin to write, do not wait
+            for descriptor in descriptors:
+                os.fsync(descriptor)
+        for path in files:
+            give_name(temporary[path], path)
+    except BaseException:
+        for path in temporary.values():
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+        raise
+    for directory in changed:
+        sync_directory(directory)
+
+
+def give_name(temporary: Path, path: Path) -> None:
+    """Let a file appear under its name, instead of what was there: the moment at which it is written."""
+    temporary.replace(path)
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex}{PARTIAL}")
+
+
 def _write(path: Path, parts: Sequence[memoryview], *, durable: bool, direct: bool) -> None:
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | (os.O_DIRECT if direct else 0)
-    descriptor = os.open(path, flags, 0o666)
+    descriptor = os.open(path, _NEW | (os.O_DIRECT if direct else 0), 0o666)
     try:
         _write_parts(descriptor, parts, direct=direct)
         if durable:
@@ -192,9 +236,14 @@ class LocalDestination:
         return write_whole(path, parts, durable=durable)
 
     def put_all(self, files: Mapping[str, bytes], *, durable: bool) -> None:
-        """Write files one after another: together they take no less time, the disk's journal is what they wait for."""
-        for key, value in files.items():
-            self.put(key, [memoryview(value)], durable=durable)
+        """Write files; durably as many at once as may be open."""
+        if not durable:
+            for key, value in files.items():
+                self.put(key, [memoryview(value)], durable=False)
+            return
+        paths = [(self.path / key, value) for key, value in files.items()]
+        for first in range(0, len(paths), _MAX_FILES):
+            write_all_durably(dict(paths[first : first + _MAX_FILES]))
 
     def settle(self) -> None:
         """Sync every file that was not, then the folders."""
