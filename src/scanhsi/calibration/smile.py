@@ -129,7 +129,8 @@ def trace_lines(
     """
     values = np.asarray(frame, np.float64)
     bands, samples = values.shape
-    cuts: NDArray[np.intp] = np.rint(np.linspace(0, samples, max(1, samples // block) + 1)).astype(np.intp)
+    parts = max(1, samples // block)
+    cuts = np.arange(parts + 1) * samples // parts
     if len(cuts) <= _LEAST_BLOCKS:
         raise CalibrationError(
             f"{samples} samples are too few to follow a line along: {_LEAST_BLOCKS * block} at least."
@@ -141,11 +142,11 @@ def trace_lines(
     if len(shown) < 2:
         raise CalibrationError("fewer than two lines can be followed along the slit.", hint="light all of the slit")
     # Which wavelength is the middle of a group depends on the heights found: one value a group, and the shift goes with any.
-    line_nm = np.array([np.median([one.wavelength_nm for one in row if one]) for _, row in shown])
-    there = [float(np.interp(nm, *_rising(group))) for nm, (group, _) in zip(line_nm, shown, strict=True)]
+    middles = [float(np.median([one.wavelength_nm for one in row if one])) for _, row in shown]
+    there = [float(np.interp(nm, *_rising(group))) for nm, (group, _) in zip(middles, shown, strict=True)]
     return Traces(
-        line_nm=line_nm,
-        block=(cuts[:-1] + cuts[1:] - 1) / 2,
+        line_nm=np.array(middles),
+        block=np.array([(low + high - 1) / 2 for low, high in pairwise(cuts.tolist())]),
         band=np.array(there)[:, None] + _table([row for _, row in shown], "shift"),
         band_sigma=_table([row for _, row in shown], "band_sigma"),
         fwhm=_table([row for _, row in shown], "fwhm"),
