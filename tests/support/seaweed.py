@@ -99,7 +99,7 @@ class Seaweed:
         command += [f"-dir={folder}", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-filer", "-s3", f"-s3.config={config}"]
         command += [f"-master.port={master}", f"-volume.port={volume}", f"-filer.port={filer}", f"-s3.port={s3}"]
         command += ["-s3.port.iceberg=0", "-s3.port.lance=0"]  # whose ports would be the same for every server
-        self._command = [*command, "-volume.max=20", "-master.volumeSizeLimitMB=256"]
+        self._command = [*command, "-volume.max=100", "-master.volumeSizeLimitMB=256"]
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         self.s3 = S3(f"http://127.0.0.1:{s3}", "cubes")

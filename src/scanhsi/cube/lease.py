@@ -168,13 +168,17 @@ class Lease:
         """
         if self._lost is not None:
             raise self._lost
+        if self._version is None:
+            raise RuntimeError("the cube is not locked")
         if _now_s() > self._renewed_s + 0.75 * self._ttl_s:
             self._renew()
 
     def created(self) -> None:
         """Say that the cube is there."""
         self._creating = None
-        self._renew()
+        with contextlib.suppress(DestinationError):
+            self._renew(retry_s=0.0)  # or with the next beat: the root tells it, too
+        self.check()
 
     def _renew(self, retry_s: float | None = None) -> None:
         with self._renewing:

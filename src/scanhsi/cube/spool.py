@@ -218,9 +218,8 @@ class Spool:
 
     def remove(self) -> None:
         """Remove the folder, which is empty but for its head."""
-        with suppress(FileNotFoundError):
+        with suppress(OSError):
             (self.path / HEAD).unlink()
-        with suppress(FileNotFoundError):
             self.path.rmdir()
 
 

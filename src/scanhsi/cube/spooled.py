@@ -51,6 +51,7 @@ class SpooledDestination:
         self._max_bytes = max_bytes
         self._patience_s = patience_s
         self._keys: set[str] = set()
+        self._new = False  # whether the spool's folder was made here
         self._spool: Spool | None = None
         self._remote: ObjectDestination | None = None
         self._drainer: Drainer | None = None
@@ -72,7 +73,7 @@ class SpooledDestination:
             try:
                 remote.create(files)
             except BaseException:
-                spool.remove()
+                self._forget(spool)
                 raise
             self._keys = set(files)
             self._begin(spool, remote, held)
@@ -92,9 +93,12 @@ class SpooledDestination:
                     remote.lock()
                 self._keys = set(spool.overlay(remote.keys("")))
             except BaseException:
-                remote.lease.abandon()
-                if not spool.waiting_bytes:
-                    spool.remove()
+                if spool.waiting_bytes:
+                    remote.lease.abandon()
+                elif remote.lease.held:
+                    remote.unlock()
+                else:
+                    self._forget(spool)
                 raise
             self._begin(spool, remote, held)
 
@@ -104,6 +108,7 @@ class SpooledDestination:
             self.folder.mkdir(parents=True, exist_ok=True)
             held.enter_context(locked(self.folder))
             head = read_head(self.folder)
+            self._new = head is None
             if head is None:
                 options = {key: value for key, value in self.location.options.items() if key.lower() in _HARMLESS}
                 head = Head(self.name, options, uuid4().hex)
@@ -115,6 +120,11 @@ class SpooledDestination:
             ) from None
         except OSError as error:
             raise self._told(error) from error
+
+    def _forget(self, spool: Spool) -> None:
+        """Remove a spool that never was used. One that was there before stays: a lease may name its owner."""
+        if self._new:
+            spool.remove()
 
     def _begin(self, spool: Spool, remote: ObjectDestination, held: ExitStack) -> None:
         self._spool, self._remote, self._held = spool, remote, held.pop_all()
