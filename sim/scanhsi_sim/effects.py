@@ -55,7 +55,7 @@ class SensorOptions(_Table, frozen=True):
         le=1,
         description="share of the hot pixels whose dark signal levels off instead of growing on",
     )
-    hot_nonlinear_s: float = Field(default=0.3, gt=0, description="time constant with which it does")
+    hot_nonlinear_s: float = Field(default=1.0, gt=0, description="time constant with which it does")
 
 
 class OpticsOptions(_Table, frozen=True):
