@@ -35,6 +35,7 @@ class LightStability:
         residual: Relative standard deviation around fit and drift: flicker and noise.
         averaging_s: Averaging times, (averaging,).
         allan: Relative Allan deviation at these, (averaging,).
+        time_s, signal: The snapshots: since the lamp was switched on, and their level, (snapshot,).
         provenance: Where it comes from.
     """
 
@@ -49,6 +50,8 @@ class LightStability:
     residual: Annotated[float, Stored("1", "relative residual")]
     averaging_s: Annotated[Floats, Stored("s", "averaging times", ("averaging",))]
     allan: Annotated[Floats, Stored("1", "relative Allan deviation", ("averaging",))]
+    time_s: Annotated[Floats, Stored("s", "since the lamp was switched on", ("snapshot",))]
+    signal: Annotated[Floats, Stored("counts", "level of the snapshots", ("snapshot",))]
     provenance: Provenance
 
 
@@ -81,6 +84,8 @@ def light_stability(time_s: Floats, level: Floats, provenance: Provenance) -> Li
         residual=float(np.std(level / fitted - 1, ddof=3)),
         averaging_s=averaging,
         allan=allan,
+        time_s=time_s,
+        signal=level,
         provenance=provenance,
     )
 

@@ -80,7 +80,11 @@ class PhotonTransfer:
 
 
 def photon_transfer(
-    pairs: Sequence[FlatPair], provenance: Provenance, *, mask: NDArray[np.bool_] | None = None
+    pairs: Sequence[FlatPair],
+    provenance: Provenance,
+    *,
+    mask: NDArray[np.bool_] | None = None,
+    light: Floats | None = None,
 ) -> PhotonTransfer:
     """Work out the photon transfer of a region that is evenly lit.
 
@@ -88,6 +92,8 @@ def photon_transfer(
         pairs: One an exposure, from dark to saturated; eight or more.
         provenance: Where they come from.
         mask: (band, sample), pixels to use; all by default. A spectrograph's frame is never evenly lit: take a region of it.
+        light: (band, sample), the light on the pixels, smooth, in any unit: what of it varies over the region does not count as
+            non-uniformity of the response.
 
     Raises:
         CalibrationError: Too few exposures, no saturation reached, frames that do not go together, or no light.
@@ -109,7 +115,7 @@ def photon_transfer(
         snr_max_db=10 * math.log10(full_e),
         dynamic_range_db=20 * math.log10(full_e / smallest_e),
         dsnu_e=_spatial(pairs[0].dark, region) / gain,
-        prnu=_prnu(pairs, signal, top, region),
+        prnu=_prnu(pairs, signal, top, region, np.ones(region.shape) if light is None else light),
         linearity_error=_linearity_error(np.array([pair.exposure_s for pair in pairs]), signal, top),
         exposure_s=np.array([pair.exposure_s for pair in pairs]),
         signal=signal,
@@ -184,11 +190,20 @@ def _spatial(frames: NDArray[Any], region: NDArray[np.bool_]) -> float:
     return math.sqrt(max(float(np.var(mean)) - _difference_variance(frames, region) / 2, 0.0))
 
 
-def _prnu(pairs: Sequence[FlatPair], signal: Floats, top: int, region: NDArray[np.bool_]) -> float:
-    """At half saturation, the spatial variance of flat less dark, relative to the signal."""
-    half = int(np.argmin(np.abs(signal[: top + 1] - signal[top] / 2)))
-    flat, dark = _spatial(pairs[half].flat, region), _spatial(pairs[half].dark, region)
-    return math.sqrt(max(flat**2 - dark**2, 0.0)) / float(signal[half])
+def _prnu(pairs: Sequence[FlatPair], signal: Floats, top: int, region: NDArray[np.bool_], light: Floats) -> float:
+    """At half saturation, the spatial variance of flat less dark over the light, temporal noise removed, relative to its mean."""
+    pair = pairs[int(np.argmin(np.abs(signal[: top + 1] - signal[top] / 2)))]
+    even = light[region] / light[region].mean()
+    first, second = (
+        (flat - dark)[region] / even for flat, dark in zip(_floats(pair.flat), _floats(pair.dark), strict=True)
+    )
+    mean = (first + second) / 2
+    variance = float(np.var(mean)) - float(np.var(first - second)) / 4
+    return math.sqrt(max(variance, 0.0)) / float(mean.mean())
+
+
+def _floats(frames: NDArray[Any]) -> Floats:
+    return frames.astype(np.float64)
 
 
 def _linearity_error(exposure_s: Floats, signal: Floats, top: int) -> float:

@@ -6,6 +6,7 @@ and larger than the usual 20 log10(mu / sigma) by -10 log10(mu). Both are given,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -64,21 +65,62 @@ def signal_to_noise(captures: dict[float, NDArray[Any]], provenance: Provenance)
     for exposure in exposures:
         if captures[exposure].shape[1] < 3:
             raise CalibrationError(f"{captures[exposure].shape[1]} lines at {exposure:g} s show no noise; take 20.")
-    columns = [_ratios(np.asarray(captures[exposure], np.float64)) for exposure in exposures]
+    moments = {exposure: _moments(np.asarray(captures[exposure], np.float64)) for exposure in exposures}
+    return signal_to_noise_of(moments, provenance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """Repeated lines of an even target at one exposure, as their mean and noise.
+
+    Attributes:
+        mean, sigma: Reflectance or dark-corrected counts, and their standard deviation over the lines, (band, sample); nan where
+            not known.
+        lines: Lines they are of.
+    """
+
+    mean: Floats
+    sigma: Floats
+    lines: int
+
+
+def signal_to_noise_of(moments: dict[float, Moments], provenance: Provenance) -> SignalToNoise:
+    """The same from running moments, so that no capture has to be in memory.
+
+    Args:
+        moments: Exposure in s -> moments of the same place.
+        provenance: Where they come from.
+
+    Raises:
+        CalibrationError: Nothing is given, fewer than three lines at an exposure, or sizes that differ.
+    """
+    exposures = sorted(moments)
+    if not exposures or len({moments[exposure].mean.shape for exposure in exposures}) > 1:
+        raise CalibrationError("a signal to noise ratio needs captures of the same bands and samples.")
+    if few := [f"{exposure:g} s" for exposure in exposures if moments[exposure].lines < 3]:
+        raise CalibrationError(f"fewer than three lines show no noise: at {', '.join(few)}; take 20.")
+    columns = [_ratios(moments[exposure].mean, moments[exposure].sigma) for exposure in exposures]
     snr, paper, spatial = (np.stack(column) for column in zip(*columns, strict=True))
-    lines = np.array([captures[exposure].shape[1] for exposure in exposures], np.int64)
+    lines = np.array([moments[exposure].lines for exposure in exposures], np.int64)
     return SignalToNoise(np.array(exposures), snr, paper, spatial, lines, provenance)
 
 
-def _ratios(values: Floats) -> tuple[Floats, Floats, Floats]:
+def _moments(values: Floats) -> Moments:
+    return Moments(values.mean(axis=1), values.std(axis=1, ddof=1), values.shape[1])
+
+
+def _ratios(mean: Floats, sigma: Floats) -> tuple[Floats, Floats, Floats]:
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean, sigma = values.mean(axis=1), values.std(axis=1, ddof=1)
         temporal = 20 * np.log10(mean / sigma)
         paper = 10 * np.log10(mean / sigma**2)
         if np.nanmax(mean, initial=0) > _REFLECTANCE_AT_MOST:
             paper = np.full_like(paper, np.nan)
-        spatial = 20 * np.log10(np.nanmean(mean, axis=1) / np.nanstd(mean, axis=1, ddof=1))
+        spatial = np.array([_unevenness(row[np.isfinite(row)]) for row in mean])
     return _median(temporal), _median(paper), spatial
+
+
+def _unevenness(row: Floats) -> float:
+    return float(20 * np.log10(row.mean() / row.std(ddof=1))) if row.size > 2 else math.nan
 
 
 def _median(values: Floats) -> Floats:

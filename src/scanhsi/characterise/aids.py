@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 
 _TARGET: Final = 0.85
 _CLOSE: Final = 0.03
+_DARK: Final = 0.1  # of full scale at the longest exposure: no tile is so dark
 _TRIES: Final = 8
 _BRIGHTEST: Final = 0.999  # of the pixels: a hot one is not the tile
 
@@ -71,7 +72,7 @@ async def auto_exposure(
         wanted = exposure / 4 if level >= 0.999 else exposure * (target - black) / max(level - black, 1e-4)
         following = min(max(wanted, allowed.minimum), allowed.maximum)
         if abs(level - target) <= _CLOSE or following == exposure:
-            if level < 0.02:
+            if level < _DARK:
                 break
             return FoundExposure(exposure, level, saturated, abs(level - target) > _CLOSE, tried)
         exposure = following

@@ -148,7 +148,13 @@ def _(result: PhotonTransfer, make: Make) -> list[Row]:
         make("dynamic range", "Dynamic range", result.dynamic_range_db, "dB"),
         make("dsnu", "Dark signal non-uniformity", result.dsnu_e, "e"),
         make("prnu", "Photo response non-uniformity", 100 * result.prnu, "%"),
-        make("linearity", "Linearity error", 100 * result.linearity_error, "%"),
+        make(
+            "linearity",
+            "Linearity error",
+            100 * result.linearity_error,
+            "%",
+            text=f"{100 * result.linearity_error:.2g} %",
+        ),
     ]
 
 
@@ -256,7 +262,7 @@ def _shown(number: float, unit: str, sigma: float) -> str:
     if math.isfinite(sigma) and sigma > 0:
         digits = max(0, 1 - math.floor(math.log10(sigma)))
         return f"{number:.{min(digits, 9)}f} {unit}".strip()
-    return f"{number:.4g} {unit}".strip()
+    return f"{number:.0f} {unit}".strip() if abs(number) >= 1000 else f"{number:.4g} {unit}".strip()
 
 
 def _part(flags: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:

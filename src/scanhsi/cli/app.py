@@ -16,6 +16,7 @@ from typer.rich_utils import rich_format_error
 from scanhsi import log
 from scanhsi.cli import (
     bench,
+    calibrate,
     delays,
     drain,
     drivers,
@@ -27,6 +28,7 @@ from scanhsi.cli import (
     quicklook,
     scan,
     schema,
+    spec,
     trace,
     twin,
     verify,
@@ -80,6 +82,8 @@ for _command in (
     drain,
     drivers,
     schema,
+    calibrate,
+    spec,
     trace,
     bench,
     twin,

@@ -125,7 +125,7 @@ def scan(
     if delays is not None:
         config = config.with_delays(delays)
     if virtual:
-        _refuse_real_devices(config)
+        refuse_real_devices(config)
     given = {
         "mode": mode,
         "lines": lines,
@@ -214,7 +214,8 @@ def parsed_settings(settings: Iterable[str]) -> dict[str, object]:
     return values
 
 
-def _refuse_real_devices(config: InstrumentConfig) -> None:
+def refuse_real_devices(config: InstrumentConfig) -> None:
+    """Refuse virtual time for devices that take real time."""
     from scanhsi.devices.errors import ConfigError
 
     real = [device for device in (config.camera, config.actuator) if not device.backend.virtual_time]

@@ -1,0 +1,28 @@
+"""One figure a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scanhsi.calibration.figures import optics, sensor
+from scanhsi.calibration.figures.style import save_figure
+from scanhsi.calibration.result import Result
+
+_DRAW = {**sensor.FIGURES, **optics.FIGURES}
+
+
+def draw(result: Result, path: str | Path) -> Path | None:
+    """Draw the figure of a result.
+
+    Args:
+        result: Of any kind.
+        path: ``.png``, ``.pdf`` or ``.svg``.
+
+    Returns:
+        The path; None for a kind that has no figure.
+
+    Raises:
+        CalibrationError: The file cannot be written.
+    """
+    found = _DRAW.get(result.kind)
+    return None if found is None else save_figure(lambda: found(result), Path(path))

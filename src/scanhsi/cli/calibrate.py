@@ -1,0 +1,241 @@
+"""``scanhsi calibrate``."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from scanhsi.cli.calibrate_run import Job, run_job
+from scanhsi.cli.quantities import seconds_list, seconds_of
+
+if TYPE_CHECKING:
+    from scanhsi.calibration.dark import DarkModel
+    from scanhsi.calibration.result import Result
+    from scanhsi.characterise.calibrator import Calibrator
+
+Instrument = Annotated[
+    str | None,
+    typer.Argument(help="Name of a shipped instrument, or path of an instrument file; not with --from."),
+]
+Output = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="Result, a NetCDF-4 file, conventionally *.nc.")
+]
+From = Annotated[
+    list[str] | None,
+    typer.Option("--from", metavar="CUBE", help="Use cubes that exist, not the instrument; repeatable."),
+]
+Dark = Annotated[Path | None, typer.Option("--dark", help="Dark model of `scanhsi calibrate dark`.")]
+Figure = Annotated[Path | None, typer.Option(metavar="FILE", help="Figure, .png or .pdf. [default: beside the result]")]
+NoFigure = Annotated[bool, typer.Option("--no-figure", help="Draw none.")]
+Virtual = Annotated[bool, typer.Option("--virtual", help="Simulated instruments: in virtual time.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the instrument file; repeatable."),
+]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask: everything is where it should be.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Frames = Annotated[int, typer.Option(min=2, help="Frames at each exposure.")]
+Tile = Annotated[float, typer.Option(help="Reflectance of the white tile.")]
+Exposure = Annotated[str | None, typer.Option(metavar="TIME", help='As "20 ms"; default: found automatically.')]
+Exposures = Annotated[str | None, typer.Option(metavar="TIMES", help='As "10 ms, 100 ms".')]
+
+Take = Callable[["Calibrator"], Awaitable["Result"]]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    group = typer.Typer(no_args_is_help=True, help="Characterise an instrument: take, work out, draw and keep.")
+    for name, command in (
+        ("dark", dark),
+        ("white", white),
+        ("photon-transfer", photon_transfer),
+        ("snr", snr),
+        ("light", light),
+    ):
+        group.command(name)(command)
+    app.add_typer(group, name="calibrate")
+
+
+def dark(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    exposures: Exposures = None,
+    frames: Frames = 20,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """Dark signal of every pixel over the exposure (Eq. 15), hot pixels.
+
+    [bold]Example[/]: scanhsi calibrate dark sensors2019 -o dark.nc
+    """
+    times = seconds_list(exposures, "--exposures")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.dark(output, exposures_s=times, frames=frames)
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.from_cubes import dark_from_cubes
+
+        return dark_from_cubes(found)
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def white(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    dark_model: Dark = None,
+    exposure: Exposure = None,
+    tile: Tile = 0.99,
+    frames: Frames = 20,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """White reference of a tile; the exposure is found by itself.
+
+    [bold]Example[/]: scanhsi calibrate white sensors2019 --dark dark.nc -o white.nc
+    """
+    model = _dark_model(dark_model)
+    time = seconds_of(exposure, "--exposure")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.white(output, dark=model, exposure_s=time, frames=frames, tile=tile)
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.from_cubes import split_by_target, white_from_cubes
+
+        if model is not None:
+            return white_from_cubes(_only(found, "a cube of the tile"), model, tile=tile)
+        below, above = split_by_target(found)
+        return white_from_cubes(_only(above, "a cube of the tile"), _only(below, "a dark cube"), tile=tile)
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def photon_transfer(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    exposures: Exposures = None,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """Gain, noise, full well and linearity of the sensor (a subset of EMVA 1288).
+
+    [bold]Example[/]: scanhsi calibrate photon-transfer sensors2019 -o ptc.nc
+    """
+    times = seconds_list(exposures, "--exposures")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.photon_transfer(output, exposures_s=times)
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.noise_from_cubes import photon_transfer_from_cubes
+
+        return photon_transfer_from_cubes(found)
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def snr(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    dark_model: Dark = None,
+    exposures: Exposures = None,
+    tile: Tile = 0.99,
+    frames: Frames = 20,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """Signal to noise by band and exposure, the paper's (Eq. 20) and the usual one (figure 12, left).
+
+    [bold]Example[/]: scanhsi calibrate snr sensors2019 --dark dark.nc -o snr.nc
+    """
+    model = _dark_model(dark_model)
+    times = seconds_list(exposures, "--exposures")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.snr(output, dark=model, exposures_s=times, frames=frames, tile=tile)
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.noise_from_cubes import snr_from_cubes
+
+        return snr_from_cubes(found, dark=model, tile=tile)
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def light(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    dark_model: Dark = None,
+    exposure: Exposure = None,
+    snapshots: Annotated[int, typer.Option(min=8, help="How many.")] = 20,
+    interval: Annotated[str, typer.Option(metavar="TIME", help="From one to the next.")] = "40 s",
+    on_before: Annotated[str, typer.Option(metavar="TIME", help="How long the lamp has been on.")] = "0 s",
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """How the lamp settles, drifts and flickers (figure 12, right): switch it on and start this at once.
+
+    [bold]Example[/]: scanhsi calibrate light sensors2019 --virtual -o light.nc
+    """
+    model = _dark_model(dark_model)
+    time, every = seconds_of(exposure, "--exposure"), seconds_of(interval, "--interval")
+    before = seconds_of(on_before, "--on-before")
+    assert every is not None
+    assert before is not None
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.light(
+            output, dark=model, exposure_s=time, snapshots=snapshots, interval_s=every, on_before_s=before
+        )
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.noise_from_cubes import light_from_cubes
+
+        return light_from_cubes(found, dark=model, on_before_s=before)
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def _dark_model(path: Path | None) -> DarkModel | None:
+    if path is None:
+        return None
+    from scanhsi.calibration.dark import DarkModel
+    from scanhsi.calibration.result import load
+
+    return load(DarkModel, path)
+
+
+def _only(cubes: list[Any], what: str) -> Any:
+    if len(cubes) != 1:
+        raise typer.BadParameter(f"{what} is needed, one; there are {len(cubes)}.", param_hint="--from")
+    return cubes[0]
