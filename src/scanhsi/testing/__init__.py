@@ -1,0 +1,1 @@
+"""For authors of drivers: the contracts as a test suite. See `scanhsi.testing.conformance`."""
