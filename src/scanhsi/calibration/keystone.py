@@ -134,7 +134,8 @@ def _windows(samples: int) -> list[slice]:
 def _weight_place(reference: Floats, window: slice) -> float:
     """Where in a window the slopes are that tell a shift: not always its middle."""
     weight = cast("Floats", np.gradient(reference))[window] ** 2
-    return float(np.average(np.arange(window.start, window.stop), weights=weight))
+    place: Floats = np.arange(len(weight), dtype=np.float64)
+    return window.start + float(np.average(place, weights=weight))
 
 
 def _structure(part: Floats) -> float:

@@ -4,6 +4,8 @@ A cube is one Zarr v3 group::
 
     cube                (band, line, sample)  uint8, uint16, uint32 (raw counts, or sums of them) or float32, sharded by lines
     wavelength          (band)                nm, where calibrated
+    wavelength_map      (band, sample)        nm of every pixel, where the smile was measured and left
+    x, y                (sample), (line)      mm in the object plane, where rectified
     time                (line)                wall clock of the start of the exposure
     mirror_step, mirror_angle_rad, frame_id, device_ns, smeared, commanded_ns ... stored_ns     (line)
     status              (line)                0 nothing safe here, 1 stored, 2 missing
@@ -62,6 +64,23 @@ _RESERVED: Final = frozenset(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Coordinate:
+    """An array that says where pixels are: ``x`` and ``y`` of a rectified cube, the wavelength of every pixel.
+
+    Attributes:
+        name: Of the array.
+        dims: Its dimensions, of `DIMENSIONS`.
+        values: As long along each as the cube.
+        attributes: CF-style, plain JSON.
+    """
+
+    name: str
+    dims: tuple[str, ...]
+    values: NDArray[Any]
+    attributes: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CubeSpec:
     """What is going to be stored.
 
@@ -76,6 +95,7 @@ class CubeSpec:
         pixel_attributes: What the pixels are, instead of raw counts: ``long_name``, ``units``.
         binning: Neighbours summed before they are stored; `stored` is what becomes of the rest.
         quicklook: Picture to be written beside the cube; None for none.
+        coordinates: Arrays written with the empty cube, besides ``wavelength``.
 
     Raises:
         ValueError: Sizes, dtype, attributes or wavelengths that cannot be a cube.
@@ -91,6 +111,7 @@ class CubeSpec:
     pixel_attributes: Mapping[str, str] = field(default_factory=dict[str, str])
     binning: Binning = NO_BINNING
     quicklook: QuicklookSpec | None = None
+    coordinates: tuple[Coordinate, ...] = ()
 
     def __post_init__(self) -> None:
         if min(self.lines, self.bands, self.samples) < 1:
@@ -110,6 +131,12 @@ class CubeSpec:
             raise ValueError("binning sums counts; float32 is none")
         if self.quicklook is not None and self.quicklook.weights.shape != (len(self.quicklook.channels), self.bands):
             raise ValueError(f"quicklook weights must have shape ({len(self.quicklook.channels)}, {self.bands})")
+        sizes: dict[str, int] = dict(zip(DIMENSIONS, self.shape, strict=True))
+        for coordinate in self.coordinates:
+            if coordinate.values.shape != tuple(sizes.get(name) for name in coordinate.dims):
+                raise ValueError(f"coordinate {coordinate.name} does not fit a cube of {self.shape}")
+        if self.binning.factor > 1 and self.coordinates:
+            raise ValueError("a cube that is binned as it is written has no coordinates but wavelengths")
         json.dumps(dict(self.attributes), allow_nan=False)  # refuse now what could not be stored later
 
     @property
@@ -286,6 +313,7 @@ def cube_attributes(spec: CubeSpec) -> dict[str, Any]:
     coordinates = [variable.name for variable in (*RECORDS, STATUS)]
     if spec.wavelength_nm is not None:
         coordinates.insert(0, "wavelength")
+    coordinates += [coordinate.name for coordinate in spec.coordinates]
     names = {"long_name": "raw camera counts", "units": "1", "coordinates": " ".join(coordinates)}
     if spec.significant_bits is None:
         return {**names, "long_name": "pixel values", **spec.pixel_attributes}
@@ -296,5 +324,11 @@ def cube_attributes(spec: CubeSpec) -> dict[str, Any]:
 WAVELENGTH_ATTRIBUTES: Final = {
     "standard_name": "radiation_wavelength",
     "long_name": "centre wavelength of the band",
+    "units": "nm",
+}
+
+WAVELENGTH_MAP_ATTRIBUTES: Final = {
+    "standard_name": "radiation_wavelength",
+    "long_name": "wavelength of the pixel, smile included",
     "units": "nm",
 }

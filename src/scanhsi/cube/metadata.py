@@ -54,6 +54,15 @@ def new_cube(
             dimension_names=("band",),
             attributes=dict(WAVELENGTH_ATTRIBUTES),
         )
+    for coordinate in stored.coordinates:
+        group.create_array(
+            coordinate.name,
+            data=coordinate.values,
+            chunks=coordinate.values.shape,
+            compressors=None,
+            dimension_names=coordinate.dims,
+            attributes=dict(coordinate.attributes),
+        )
     for variable in (*RECORDS, STATUS):
         _create_line_array(group, variable, spec.lines, layout.lines_per_shard)
     group.create_array(

@@ -48,7 +48,8 @@ def open_cube(
     Returns:
         Variable ``cube`` (band, line, sample) as it was stored, uint8 or uint16 straight from the camera. Coordinates: ``line`` as
         counted by the scan, ``band``, ``wavelength`` in nm where calibrated (``ds.cube.sel(wavelength=803, method="nearest")``),
-        ``x`` and ``y`` in mm where the cube has them, and per line ``status``, ``time``, mirror positions and stage stamps.
+        ``x`` and ``y`` in mm and ``wavelength_map`` (band, sample) where the cube has them,
+        and per line ``status``, ``time``, mirror positions and stage stamps.
         Attributes: those of the cube, and ``lines_planned``, ``lines_stored``, ``lines_missing``.
 
     Raises:
@@ -234,7 +235,7 @@ def _dataset(opened: _Opened) -> xr.Dataset:
     """Every array with named dimensions, cut to the lines reached, decoded by its attributes."""
     variables = {name: _variable(opened, name, array) for name, array in opened.arrays.items() if _dimensions(array)}
     dataset = xr.decode_cf(xr.Dataset(variables, attrs=opened.attributes))
-    dataset = dataset.set_coords([name for name in ("x", "y") if name in dataset])
+    dataset = dataset.set_coords([name for name in ("x", "y", "wavelength_map") if name in dataset])
     dataset = dataset.assign_coords(line=np.arange(opened.lines), band=np.arange(dataset.sizes["band"]))
     for name in ("wavelength", "x", "y"):
         if name in dataset.coords and dataset[name].ndim == 1 and np.unique(dataset[name]).size == dataset[name].size:

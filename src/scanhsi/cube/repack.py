@@ -13,7 +13,7 @@ from scanhsi.cube.durable import PARTIAL, LocalDestination, sync_directory
 from scanhsi.cube.layout import CubeSpec, choose_layout
 from scanhsi.cube.metadata import ROOT, Documents, decoded
 from scanhsi.cube.reader import cube_summary
-from scanhsi.cube.rewrite import Progress, Rewriting, attributes_of, open_source
+from scanhsi.cube.rewrite import Progress, Rewriting, attributes_of, coordinates_of, open_source
 from scanhsi.cube.shards import Codec
 from scanhsi.devices.errors import CubeError, CubeExists
 
@@ -99,6 +99,7 @@ def _rewriting(source: xr.Dataset, path: Path, target: Path, codec: Codec) -> Re
         attributes=attributes_of(source),
         wavelength_nm=wavelength,
         pixel_attributes={key: str(value) for key, value in pixels.attrs.items() if key not in standard},
+        coordinates=coordinates_of(source),
     )
     lines = (encoding.get("shards") or encoding["chunks"])[1]
     documents = decoded((path / ROOT).read_bytes())

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from scanhsi.cube.buffers import ShardBuffer
 from scanhsi.cube.durable import LocalDestination
-from scanhsi.cube.layout import RECORDS, STATUS, CubeSpec, Layout
+from scanhsi.cube.layout import RECORDS, STATUS, Coordinate, CubeSpec, Layout
 from scanhsi.cube.metadata import ROOT, Documents, decoded
 from scanhsi.cube.reader import open_cube
 from scanhsi.cube.records import LineStatus
@@ -36,6 +36,8 @@ Compute = Callable[[NDArray[Any]], NDArray[Any]]
 _KEPT: Final = ("clock_offset_ns", "acquisition", "missing", "binning", "resumed")
 """What the files of a cube say besides the attributes of a `CubeSpec`, and a cube made of it says again."""
 
+_LINES_AT_ONCE: Final = 4
+
 _MADE_ANEW: Final = ("Conventions", "ome", "scanhsi_format", "complete", "storage", "title", "source")
 _COUNTS: Final = ("lines_planned", "lines_stored", "lines_missing")
 
@@ -47,6 +49,15 @@ Progress = Callable[[int, int], None]
 def attributes_of(source: xr.Dataset) -> dict[str, Any]:
     """Attributes for the `CubeSpec` of a cube that is made of this one."""
     return {key: value for key, value in source.attrs.items() if key not in (*_KEPT, *_MADE_ANEW, *_COUNTS)}
+
+
+def coordinates_of(source: xr.Dataset, but: tuple[str, ...] = ()) -> tuple[Coordinate, ...]:
+    """Coordinates for the `CubeSpec` of a cube that is made of this one, with the same sizes; some left out by name."""
+    there = (source[name] for name in ("x", "y", "wavelength_map") if name in source.coords and name not in but)
+    return tuple(
+        Coordinate(str(array.name), tuple(map(str, array.dims)), np.asarray(array.values), dict(array.attrs))
+        for array in there
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,20 +194,28 @@ class ShardTask:
         """Make the shard that begins with line ``first``; returns that line."""
         job = self._rewriting
         lines = slice(first, min(first + job.layout.lines_per_shard, job.spec.lines))
-        pixels = np.asarray(job.source["cube"].isel(line=lines).values)
-        made = job.compute(pixels) if job.compute is not None else pixels
         lost = self._status[lines] == LineStatus.MISSING
         buffer = self._buffer()
         try:
-            buffer.rows[: lines.stop - first] = made.transpose(1, 0, 2)
+            rows = buffer.rows[: lines.stop - first]
+            self._make(lines, rows)
             self._files.write_pixels(ShardPixels(first, buffer, lost))
+            if job.check:
+                self._compare(lines, rows, lost)
         finally:
             self._buffers.put(buffer)
-        if job.check:
-            self._compare(lines, made, lost)
         columns = {name: column[lines] for name, column in self._columns.items()}
         self._files.write_records(ShardRecords(first, columns, self._status[lines]))
         return first
+
+    def _make(self, lines: slice, rows: NDArray[Any]) -> None:
+        """Read lines and compute some of them at a time into (line, band, sample): what comes out is in memory once."""
+        job = self._rewriting
+        pixels = np.asarray(job.source["cube"].isel(line=lines).values)
+        for first in range(0, len(rows), _LINES_AT_ONCE):
+            some = slice(first, first + _LINES_AT_ONCE)
+            made = pixels[:, some] if job.compute is None else job.compute(pixels[:, some])
+            rows[some] = made.transpose(1, 0, 2)
 
     def _buffer(self) -> ShardBuffer:
         try:
@@ -204,13 +223,13 @@ class ShardTask:
         except queue.Empty:
             return self._files.allocate()
 
-    def _compare(self, lines: slice, made: NDArray[Any], lost: NDArray[np.bool_]) -> None:
+    def _compare(self, lines: slice, rows: NDArray[Any], lost: NDArray[np.bool_]) -> None:
         """Read a shard again. Its status is not written yet, so zarr has to be asked for it by name."""
         import zarr
 
         array = cast("zarr.Array[Any]", zarr.open_group(self._rewriting.target, mode="r")["cube"])
-        again = np.asarray(array[:, lines, :])
-        if not np.array_equal(again[:, ~lost], made[:, ~lost], equal_nan=made.dtype.kind == "f"):
+        again = np.asarray(array[:, lines, :]).transpose(1, 0, 2)
+        if not np.array_equal(again[~lost], rows[~lost], equal_nan=rows.dtype.kind == "f"):
             raise CubeError(
                 f"lines {lines.start} to {lines.stop - 1} of {self._rewriting.target} read back otherwise than written."
             )

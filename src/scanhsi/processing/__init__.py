@@ -3,10 +3,14 @@
 from scanhsi.processing.pipeline import Pipeline
 from scanhsi.processing.run import process
 from scanhsi.processing.signal import Signal
+from scanhsi.processing.spectral import AssignWavelength, CorrectKeystone, CorrectSmile
 from scanhsi.processing.steps import BinBands, MaskSaturated, Reflectance, Step, SubtractDark
 
 __all__ = [
+    "AssignWavelength",
     "BinBands",
+    "CorrectKeystone",
+    "CorrectSmile",
     "MaskSaturated",
     "Pipeline",
     "Reflectance",

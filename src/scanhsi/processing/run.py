@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from scanhsi.cube.layout import CubeSpec, choose_layout
-from scanhsi.cube.rewrite import Progress, Rewriting, attributes_of, open_source
+import xarray as xr
+
+from scanhsi.cube.layout import WAVELENGTH_MAP_ATTRIBUTES, Coordinate, CubeSpec, choose_layout
+from scanhsi.cube.rewrite import Progress, Rewriting, attributes_of, coordinates_of, open_source
 from scanhsi.cube.shards import Codec
 from scanhsi.processing.pipeline import Pipeline
 from scanhsi.processing.signal import Signal
@@ -57,7 +59,7 @@ def process(
     """
     source = open_source(cube, storage_options)
     pipeline = Pipeline(Signal.of(source), steps)
-    spec = _spec(source.sizes["line"], pipeline, attributes_of(source), str(cube))
+    spec = _spec(source, pipeline, str(cube))
     shards = source["cube"].encoding.get("shards") or source["cube"].encoding["chunks"]
     rewriting = Rewriting(
         source,
@@ -71,16 +73,21 @@ def process(
     return pipeline
 
 
-def _spec(lines: int, pipeline: Pipeline, attributes: dict[str, Any], source: str) -> CubeSpec:
-    signal = pipeline.output
+def _spec(source: xr.Dataset, pipeline: Pipeline, name: str) -> CubeSpec:
+    signal, attributes = pipeline.output, attributes_of(source)
+    coordinates = coordinates_of(source, but=("wavelength_map",))
+    if signal.wavelength_map_nm is not None:
+        pixels = Coordinate("wavelength_map", ("band", "sample"), signal.wavelength_map_nm, WAVELENGTH_MAP_ATTRIBUTES)
+        coordinates = (*coordinates, pixels)
     done = attributes.get("processing", [])
     return CubeSpec(
-        lines=lines,
+        lines=source.sizes["line"],
         bands=signal.bands,
         samples=signal.samples,
         dtype=signal.dtype,
         significant_bits=None if signal.dtype.kind == "f" else 8 * signal.dtype.itemsize,
-        attributes={**attributes, "processing": [*done, {"step": "read", "source": source}, *pipeline.describe()]},
+        attributes={**attributes, "processing": [*done, {"step": "read", "source": name}, *pipeline.describe()]},
         wavelength_nm=signal.wavelength_nm,
         pixel_attributes={"long_name": signal.long_name, "units": signal.units},
+        coordinates=coordinates,
     )

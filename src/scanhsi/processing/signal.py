@@ -24,6 +24,7 @@ class Signal:
         saturation: Numbers from here on are saturated; None once they have been masked (nan).
         wavelength_nm: (bands,) float64 where known.
         conditions: Under which the counts were taken.
+        wavelength_map_nm: (bands, samples) float64, of every pixel, where the smile is known and was left.
     """
 
     bands: int
@@ -34,6 +35,7 @@ class Signal:
     saturation: float | None
     wavelength_nm: NDArray[np.float64] | None
     conditions: Conditions
+    wavelength_map_nm: NDArray[np.float64] | None = None
 
     @classmethod
     def of(cls, dataset: xr.Dataset) -> Self:
@@ -49,4 +51,7 @@ class Signal:
             saturation=cube.attrs.get("valid_max"),
             wavelength_nm=np.asarray(dataset["wavelength"].values, np.float64) if known else None,
             conditions=Conditions.of(dataset.attrs),
+            wavelength_map_nm=np.asarray(dataset["wavelength_map"].values, np.float64)
+            if "wavelength_map" in dataset.coords
+            else None,
         )

@@ -174,12 +174,13 @@ class BinBands:
         """Fewer bands; their wavelengths are the means."""
         if not 1 <= self.rows <= signal.bands:
             raise CalibrationError(f"{self.rows} bands cannot be binned into one: there are {signal.bands}.")
-        wavelength = signal.wavelength_nm
+        wavelength, pixels = signal.wavelength_nm, signal.wavelength_map_nm
         binned = replace(
             signal,
             bands=-(-signal.bands // self.rows),
             dtype=_FLOAT,
             wavelength_nm=None if wavelength is None else _means(self.rows, wavelength),
+            wavelength_map_nm=None if pixels is None else _means(self.rows, pixels),
         )
         return binned, partial(_means, self.rows)
 
