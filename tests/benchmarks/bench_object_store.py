@@ -2,7 +2,8 @@
 
 Starts SeaweedFS on loopback (same cores, same disk). Each round writes with our writer, then puts the same objects, kept in memory,
 with plain ``obstore.put`` from as many threads: no encoding, no order, no conditions, no lease. ``puts`` are all objects of it,
-``shards`` only the pixels, ``spool`` our writer through a spool (until the scan may end, and until the server has all).
+``shards`` only the pixels, ``spool`` our writer through a spool (until the scan may end, and until the server has all). Every
+second round runs backwards: the disk is busy with what came before.
 Prints a JSON line a run: MB/s of stored bytes, MB/s raw.
 """
 
@@ -15,6 +16,7 @@ import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -74,20 +76,29 @@ def measure(server: S3, spec: CubeSpec, codec: str, rounds: int, folder: Path) -
         row = {"codec": codec, "what": what, "stored_MB_s": stored / seconds / 1e6, "raw_MB_s": raw / seconds / 1e6}
         print(json.dumps({key: round(v, 1) if isinstance(v, float) else v for key, v in row.items()}), flush=True)
 
-    for number in range(rounds):
-        url = f"s3://{server.bucket}/{codec}-{number}/cube.zarr"
-        seconds = clock.run(scan(url, spec, lines, codec, None))
-        objects = server.contents(url)
-        stored = sum(map(len, objects.values()))
-        shards = {key: value for key, value in objects.items() if key.startswith("cube/c/")}
-        tell("writer", seconds, stored)
-        tell("puts", put_all(server, objects, f"{codec}-{number}/puts"), stored)
-        tell("shards", put_all(server, shards, f"{codec}-{number}/shards"), sum(map(len, shards.values())))
+    url = f"s3://{server.bucket}/{codec}/cube.zarr"
+    clock.run(scan(url, spec, lines, codec, None))  # not counted: it makes the objects
+    objects = server.contents(url)
+    stored = sum(map(len, objects.values()))
+    shards = {key: value for key, value in objects.items() if key.startswith("cube/c/")}
+
+    def through_spool(place: str) -> None:
         start = time.perf_counter()
-        tell("spool", clock.run(scan(f"{url}-spooled", spec, lines, codec, folder / "spool")), stored)
+        tell("spool", clock.run(scan(place, spec, lines, codec, folder / "spool")), stored)
         drain(folder / "spool")
         tell("spool, drained", time.perf_counter() - start, stored)
-        clean(server, f"{codec}-{number}")
+
+    ways: list[Callable[[str], None]] = [
+        lambda place: tell("writer", clock.run(scan(place, spec, lines, codec, None)), stored),
+        lambda place: tell("puts", put_all(server, objects, place), stored),
+        lambda place: tell("shards", put_all(server, shards, place), sum(map(len, shards.values()))),
+        through_spool,
+    ]
+    for number in range(rounds):
+        for way in ways if number % 2 else reversed(ways):
+            place = f"{codec}-{number}-{ways.index(way)}"
+            way(place if way in ways[1:3] else f"s3://{server.bucket}/{place}/cube.zarr")
+            clean(server, place)
     ratios = {what: statistics.median(of) for what, of in rates.items()}
     medians = {what: round(value, 1) for what, value in ratios.items()}
     print(

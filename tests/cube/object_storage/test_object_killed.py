@@ -67,7 +67,7 @@ def complete(victims: Victims, job: Job) -> None:
 
 
 def test_killed_at_random_moments(server: S3, victims: Victims, url: str, here: Path) -> None:
-    left = kill_at_random(server, victims, Job(url, flush_every=14), here, 4)
+    left = kill_at_random(server, victims, Job(url, flush_every=14), here, 3)
     assert any(lines for lines in left), left
 
 
