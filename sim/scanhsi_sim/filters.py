@@ -9,9 +9,9 @@ from scipy import ndimage
 Floats = NDArray[np.floating[Any]]
 
 
-def blur(image: Floats, sigma: float | tuple[float, ...]) -> Floats:
-    """Gaussian blur with this standard deviation, in pixels (of each axis, or of all)."""
-    return np.asarray(ndimage.gaussian_filter(image, sigma, mode="nearest", truncate=3.0), image.dtype)
+def blur(image: Floats, sigma: float | tuple[float, ...], *, reach: float = 3.0) -> Floats:
+    """Gaussian blur with this standard deviation, in pixels (of each axis, or of all), cut off at so many of them."""
+    return np.asarray(ndimage.gaussian_filter(image, sigma, mode="nearest", truncate=reach), image.dtype)
 
 
 def distance(mask: NDArray[np.bool_]) -> Floats:

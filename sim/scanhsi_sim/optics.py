@@ -69,7 +69,7 @@ def electron_rates(wavelength: Spectrum, lamp: LampOptions | None = None) -> Spe
 def spread_lines(spectra: Spectrum, wavelength: Spectrum, fwhm_nm: float = _DEFAULTS.lsf_fwhm_nm) -> Spectrum:
     """Spectra (bands, K) as the slit smears them: a Gaussian line spread function."""
     nm_per_band = float(np.mean(np.diff(wavelength)))
-    return np.asarray(blur(spectra, (fwhm_nm / FWHM / nm_per_band, 0)), np.float64)
+    return np.asarray(blur(spectra, (fwhm_nm / FWHM / nm_per_band, 0), reach=5.0), np.float64)
 
 
 def reflected(reflectances: Spectrum, setup: Setup) -> Spectrum:
