@@ -16,7 +16,7 @@ def register(app: typer.Typer) -> None:
 
 
 def quicklook(
-    cube: Annotated[Path, typer.Argument(help="Cube to look at.")],
+    cube: Annotated[str, typer.Argument(help="Cube to look at: a folder, or a URL of an object store.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="PNG", help="Picture to write; replaced if it exists.")
     ],
@@ -35,7 +35,7 @@ def quicklook(
     from scanhsi.calibration.quicklook import quicklook as look_at
 
     look = look_at(cube, band_nm=band)
-    save_picture(look, output, title=cube.name)
+    save_picture(look, output, title=cube.rstrip("/").rpartition("/")[2])
     messages().print(f"{look.colour_note}; beside it {look.band_name}.", soft_wrap=True)
     if json:
         write_json(
