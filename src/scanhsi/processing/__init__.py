@@ -1,6 +1,7 @@
 """From raw counts to reflectance: named steps over whole lines, run over cubes of any size or on lines as they arrive."""
 
 from scanhsi.processing.pipeline import Pipeline
+from scanhsi.processing.rectify import Grid, rectified, rectify
 from scanhsi.processing.run import process
 from scanhsi.processing.signal import Signal
 from scanhsi.processing.spectral import AssignWavelength, CorrectKeystone, CorrectSmile
@@ -11,6 +12,7 @@ __all__ = [
     "BinBands",
     "CorrectKeystone",
     "CorrectSmile",
+    "Grid",
     "MaskSaturated",
     "Pipeline",
     "Reflectance",
@@ -18,4 +20,6 @@ __all__ = [
     "Step",
     "SubtractDark",
     "process",
+    "rectified",
+    "rectify",
 ]
