@@ -130,7 +130,10 @@ def test_scan_to_a_bucket(
     capsys.readouterr()
     assert run(command) != 0
     assert "exists already; nothing was written" in capsys.readouterr().err
-    assert run(["info", url]) == 0
+    if not spooled:
+        assert run(["info", url]) == 0
+        assert run(["quicklook", url, "-o", str(tmp_path / "look.png")]) == 0
+        assert run(["export", url, "-o", str(tmp_path / "hand.hdr")]) == 0
     if spooled:
         assert run(["drain", str(spool)]) == 0
         assert "nothing waits" in capsys.readouterr().out
