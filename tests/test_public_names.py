@@ -19,6 +19,7 @@ def test_every_public_name_exists_and_nothing_else_is_promised() -> None:
         "ScanPlan",
         "ScanReport",
         "ScanhsiError",
+        "drain",
         "export_cube",
         "import_cube",
         "open_cube",
