@@ -10,11 +10,14 @@ import xarray as xr
 from scanhsi.calibration.dark import DarkModel
 from scanhsi.calibration.geometry import Geometry
 from scanhsi.calibration.jitter import Jitter
+from scanhsi.calibration.keystone import Keystone
 from scanhsi.calibration.light import LightStability
 from scanhsi.calibration.photon_transfer import PhotonTransfer
 from scanhsi.calibration.resolution import BarContrast, EdgeResponse
 from scanhsi.calibration.result import Result, load
+from scanhsi.calibration.smile import Smile
 from scanhsi.calibration.snr import SignalToNoise
+from scanhsi.calibration.wavelength import Wavelength
 from scanhsi.calibration.white import WhiteReference
 from scanhsi.devices.errors import CalibrationError
 
@@ -25,6 +28,9 @@ KINDS: Final[dict[str, type[Any]]] = {
         WhiteReference,
         PhotonTransfer,
         SignalToNoise,
+        Wavelength,
+        Smile,
+        Keystone,
         LightStability,
         Geometry,
         Jitter,

@@ -2,24 +2,45 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncGenerator, Callable, Iterable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final, Literal, TypeVar
 
 import numpy as np
 
 from scanhsi.calibration.dark import DarkModel
+from scanhsi.calibration.geometry import Geometry
+from scanhsi.calibration.jitter import Jitter
 from scanhsi.calibration.light import LightStability
+from scanhsi.calibration.lines import LineList
 from scanhsi.calibration.photon_transfer import PhotonTransfer
+from scanhsi.calibration.resolution import EdgeResponse
 from scanhsi.calibration.result import Result, save
 from scanhsi.calibration.snr import SignalToNoise
+from scanhsi.calibration.wavelength import Wavelength
 from scanhsi.calibration.white import WhiteReference
 from scanhsi.characterise.aids import auto_exposure
 from scanhsi.characterise.from_cubes import dark_from_cubes, white_from_cubes
+from scanhsi.characterise.lamp_from_cubes import wavelength_from_cubes
 from scanhsi.characterise.noise_from_cubes import light_from_cubes, photon_transfer_from_cubes, snr_from_cubes
-from scanhsi.characterise.station import DARK, WHITE, Prompt, Scans, Station, Tell, station
+from scanhsi.characterise.station import (
+    DARK,
+    GRID,
+    LAMP,
+    SLANTED_EDGE,
+    SLANTED_LINES,
+    WHITE,
+    Prompt,
+    Scans,
+    Station,
+    Target,
+    Tell,
+    station,
+)
+from scanhsi.characterise.targets_from_cubes import edge_from_cube, geometry_from_cube, jitter_from_cube
 from scanhsi.clock import now_ns, run_blocking, sleep_until_ns
 
 R = TypeVar("R", bound=Result)
@@ -199,6 +220,140 @@ class Calibrator:
                 await at.look_at(DARK)
                 cubes.append(await at.still("dark", DARK, exposure_s=exposure, frames=4 * frames))
             return await _finish(output, lambda: light_from_cubes(cubes, dark=dark, on_before_s=on_before_s))
+
+    async def geometry(
+        self,
+        output: str | Path | None = None,
+        *,
+        pitch_mm: float = 6.0,
+        half_mm: float = 64.0,
+        exposure_s: float | None = None,
+        fit_tilt: bool = False,
+        origin_known: bool = True,
+    ) -> Geometry:
+        """Distance, normal step and sample pitch, from a grid (figure 7).
+
+        Args:
+            output: File of the result.
+            pitch_mm: Of the grid.
+            half_mm: How far the scan goes to both sides.
+            exposure_s: Default: found by `auto_exposure` on the grid.
+            fit_tilt: Fit the tilt of the plane, too.
+            origin_known: A line of the grid lies at the foot of the normal.
+
+        Raises:
+            CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
+        """
+        async with self._station(output) as at:
+            cube = await self._target(at, GRID, half_mm, exposure_s)
+            return await _finish(
+                output,
+                lambda: geometry_from_cube(cube, pitch_mm=pitch_mm, fit_tilt=fit_tilt, origin_known=origin_known),
+            )
+
+    async def jitter(
+        self,
+        output: str | Path | None = None,
+        *,
+        plane: Geometry | None = None,
+        half_mm: float = 50.0,
+        slant_deg: float = 10.0,
+        turn_steps: float | None = None,
+        harmonics: int = 2,
+        exposure_s: float | None = None,
+    ) -> Jitter:
+        """Jitter of the mirror, line by line, from slanted lines (figure 8).
+
+        Args:
+            output: File of the result.
+            plane: Geometry as measured; the instrument file's by default.
+            half_mm: How far the scan goes to both sides.
+            slant_deg: Of the target's lines from the slit.
+            turn_steps: Steps of a turn of the shaft that may be out of true; of the mirror by default.
+            harmonics: Of that turn that are taken out.
+            exposure_s: Default: found by `auto_exposure` on the target.
+
+        Raises:
+            CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
+        """
+        async with self._station(output) as at:
+            cube = await self._target(at, SLANTED_LINES, half_mm, exposure_s)
+            return await _finish(
+                output,
+                lambda: jitter_from_cube(
+                    cube, slant_deg=slant_deg, plane=plane, turn_steps=turn_steps, harmonics=harmonics
+                ),
+            )
+
+    async def resolution(
+        self,
+        output: str | Path | None = None,
+        *,
+        axis: Literal["line", "sample"] = "line",
+        plane: Geometry | None = None,
+        half_mm: float = 30.0,
+        exposure_s: float | None = None,
+    ) -> EdgeResponse:
+        """Modulation transfer across a slanted edge (figure 11).
+
+        Args:
+            output: File of the result.
+            axis: ``line`` along the scan, ``sample`` along the slit.
+            plane: Geometry as measured; the instrument file's by default.
+            half_mm: How far the scan goes to both sides.
+            exposure_s: Default: found by `auto_exposure` on the target.
+
+        Raises:
+            CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
+        """
+        async with self._station(output) as at:
+            cube = await self._target(at, SLANTED_EDGE, half_mm, exposure_s)
+            return await _finish(output, lambda: edge_from_cube(cube, axis, plane=plane))
+
+    async def wavelength(
+        self,
+        output: str | Path | None = None,
+        *,
+        dark: DarkModel | None = None,
+        lines: LineList | None = None,
+        exposure_s: float | None = None,
+        frames: int = 20,
+        degree: int = 2,
+    ) -> Wavelength:
+        """Wavelengths of the bands, from a spectral lamp in the middle of the slit (Eq. 14, figures 9 and 10).
+
+        Args:
+            output: File of the result.
+            dark: Dark model; None takes a dark cube as well.
+            lines: Of the lamp; mercury-argon by default.
+            exposure_s: Default: found by `auto_exposure` on the lamp.
+            frames: To average.
+            degree: Of the polynomial.
+
+        Raises:
+            CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
+        """
+        async with self._station(output) as at:
+            await at.look_at(LAMP)
+            exposure = exposure_s or (await auto_exposure(self.imager, target=0.7)).exposure_s
+            cubes = [await at.still("lamp", LAMP, exposure_s=exposure, frames=frames)]
+            if dark is None:
+                await at.look_at(DARK)
+                cubes.append(await at.still("dark", DARK, exposure_s=exposure, frames=frames))
+            return await _finish(output, lambda: wavelength_from_cubes(cubes, dark=dark, lines=lines, degree=degree))
+
+    async def _target(self, at: Station, target: Target, half_mm: float, exposure_s: float | None) -> Path:
+        """Scan a target step by step, as far as asked to both sides of the normal, and no farther than the mirror goes."""
+        await at.look_at(target)
+        geometry, limits = self.imager.instrument.config.geometry, self.imager.instrument.actuator_info.limits
+        reach = math.atan(half_mm / (1000 * geometry.distance_m)) / (2 * geometry.step_angle_rad)
+        first = max(math.ceil(geometry.normal_step - reach), math.ceil(limits.minimum))
+        last = min(math.floor(geometry.normal_step + reach), math.floor(limits.maximum))
+        exposure = exposure_s or (await auto_exposure(self.imager)).exposure_s
+        plan = self.imager.default_plan(
+            lines=last - first + 1, step=1, start=first, exposure_s=exposure, mode="stepped", look_ahead=None
+        )
+        return await at.take(target.name, target, plan)
 
     async def _up_to_saturation(self) -> list[float]:
         found = await auto_exposure(self.imager)

@@ -18,6 +18,7 @@ from scanhsi.calibration.photon_transfer import PhotonTransfer
 from scanhsi.calibration.resolution import BarContrast, EdgeResponse
 from scanhsi.calibration.result import Result
 from scanhsi.calibration.snr import SignalToNoise
+from scanhsi.calibration.wavelength import Wavelength
 from scanhsi.calibration.white import WhiteReference
 
 _AXES: Final = {"line": "along the scan", "sample": "along the slit"}
@@ -170,6 +171,24 @@ def _(result: SignalToNoise, make: Make) -> list[Row]:
     text = f"up to {best:.1f} dB (band {int(band)}, {1000 * seconds:g} ms); median of the bands "
     text += f"{float(np.nanmedian(result.snr_db[exposure])):.1f} dB"
     return [make("snr", "", best, "dB", sigma, text)]
+
+
+@_rows.register
+def _(result: Wavelength, make: Make) -> list[Row]:
+    ends = result.nm(np.array([0, result.bands - 1]))
+    errors = result.sigma_nm(np.array([0, result.bands - 1]))
+    middle = float(ends.mean())
+    width = float(result.fwhm_nm(middle))
+    known = np.isfinite(result.line_fwhm_nm)
+    sigma = math.nan
+    if known.sum() > 1:
+        sigma = float(np.std(result.line_fwhm_nm[known], ddof=1)) / math.sqrt(int(known.sum()))
+    text = f"{width:.2f} nm FWHM at {middle:.0f} nm; {float(np.ptp(ends)) / (result.bands - 1):.3f} nm a band"
+    return [
+        make("wavelength range", "", math.nan, "nm", float(errors.max()), f"{ends.min():.1f}-{ends.max():.1f} nm"),
+        make("spectral resolution", "", width, "nm", sigma, text),
+        make("wavelength residual", "Lines around the wavelength polynomial", result.residual_nm, "nm"),
+    ]
 
 
 @_rows.register

@@ -59,6 +59,12 @@ class Target:
 
 DARK: Final = Target("dark", "Close the shutter, or put the cap on the lens.")
 WHITE: Final = Target("white", "Put the white tile before the instrument, evenly lit.")
+GRID: Final = Target(
+    "amsler", "Put the grid in the object plane, a line of it under the middle, its lines along slit and scan."
+)
+SLANTED_LINES: Final = Target("slanted-lines", "Put the slanted lines in the object plane.")
+SLANTED_EDGE: Final = Target("slanted-edge", "Put the white square in the object plane, turned by 5 degrees.")
+LAMP: Final = Target("hgar", "Light the slit with the spectral lamp.")
 
 Prompt = Callable[[Target], Awaitable[None]]
 """Asks a person to put something before the instrument; returns when that is done."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,6 +13,7 @@ from scanhsi.cli.quantities import seconds_list, seconds_of
 
 if TYPE_CHECKING:
     from scanhsi.calibration.dark import DarkModel
+    from scanhsi.calibration.geometry import Geometry
     from scanhsi.calibration.result import Result
     from scanhsi.characterise.calibrator import Calibrator
 
@@ -28,6 +29,7 @@ From = Annotated[
     typer.Option("--from", metavar="CUBE", help="Use cubes that exist, not the instrument; repeatable."),
 ]
 Dark = Annotated[Path | None, typer.Option("--dark", help="Dark model of `scanhsi calibrate dark`.")]
+Plane = Annotated[Path | None, typer.Option(help="Geometry as measured; default: as the instrument file has it.")]
 Figure = Annotated[Path | None, typer.Option(metavar="FILE", help="Figure, .png or .pdf. [default: beside the result]")]
 NoFigure = Annotated[bool, typer.Option("--no-figure", help="Draw none.")]
 Virtual = Annotated[bool, typer.Option("--virtual", help="Simulated instruments: in virtual time.")]
@@ -54,6 +56,10 @@ def register(app: typer.Typer) -> None:
         ("photon-transfer", photon_transfer),
         ("snr", snr),
         ("light", light),
+        ("wavelength", wavelength),
+        ("geometry", geometry),
+        ("jitter", jitter),
+        ("resolution", resolution),
     ):
         group.command(name)(command)
     app.add_typer(group, name="calibrate")
@@ -224,6 +230,168 @@ def light(
         return light_from_cubes(found, dark=model, on_before_s=before)
 
     run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def wavelength(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    dark_model: Dark = None,
+    lines: Annotated[
+        Path | None, typer.Option(help="CSV of the lamp's lines; default: mercury-argon.", dir_okay=False)
+    ] = None,
+    degree: Annotated[int, typer.Option(min=1, help="Of the polynomial.")] = 2,
+    exposure: Exposure = None,
+    frames: Frames = 20,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """Wavelengths of the bands, from a spectral lamp (Eq. 14, figures 9 and 10).
+
+    [bold]Example[/]: scanhsi calibrate wavelength characterise -o wavelength.nc
+    """
+    from scanhsi.calibration.lines import load_lines
+
+    model = _dark_model(dark_model)
+    known = None if lines is None else load_lines(lines)
+    time = seconds_of(exposure, "--exposure")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.wavelength(
+            output, dark=model, lines=known, exposure_s=time, frames=frames, degree=degree
+        )
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.lamp_from_cubes import wavelength_from_cubes
+
+        return wavelength_from_cubes(found, dark=model, lines=known, degree=degree)
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def geometry(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    pitch: Annotated[float, typer.Option(help="Of the grid, mm.")] = 6.0,
+    half: Annotated[float, typer.Option(help="How far the scan goes to both sides, mm.")] = 64.0,
+    tilt: Annotated[bool, typer.Option("--tilt", help="Fit the tilt of the plane, too.")] = False,
+    origin_unknown: Annotated[
+        bool, typer.Option("--origin-unknown", help="No line of the grid lies at the foot of the normal.")
+    ] = False,
+    exposure: Exposure = None,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """Distance, normal step and sample pitch, from a grid (figure 7).
+
+    [bold]Example[/]: scanhsi calibrate geometry characterise -o geometry.nc
+    """
+    time = seconds_of(exposure, "--exposure")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.geometry(
+            output, pitch_mm=pitch, half_mm=half, exposure_s=time, fit_tilt=tilt, origin_known=not origin_unknown
+        )
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.targets_from_cubes import geometry_from_cube
+
+        return geometry_from_cube(
+            _only(found, "a cube of the grid"), pitch_mm=pitch, fit_tilt=tilt, origin_known=not origin_unknown
+        )
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def jitter(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    plane: Plane = None,
+    slant: Annotated[float, typer.Option(help="Of the lines from the slit, degrees.")] = 10.0,
+    turn: Annotated[
+        float | None, typer.Option(help="Steps of a turn of the shaft that may be out of true; default: of the mirror.")
+    ] = None,
+    half: Annotated[float, typer.Option(help="How far the scan goes to both sides, mm.")] = 50.0,
+    exposure: Exposure = None,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """Jitter of the mirror, line by line, from slanted lines (figure 8).
+
+    [bold]Example[/]: scanhsi calibrate jitter characterise --plane geometry.nc -o jitter.nc
+    """
+    known = _plane(plane)
+    time = seconds_of(exposure, "--exposure")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.jitter(
+            output, plane=known, half_mm=half, slant_deg=slant, turn_steps=turn, exposure_s=time
+        )
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.targets_from_cubes import jitter_from_cube
+
+        return jitter_from_cube(
+            _only(found, "a cube of the slanted lines"), slant_deg=slant, plane=known, turn_steps=turn
+        )
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def resolution(
+    output: Output,
+    instrument: Instrument = None,
+    cubes: From = None,
+    axis: Annotated[Literal["line", "sample"], typer.Option(help="Along the scan, or along the slit.")] = "line",
+    plane: Plane = None,
+    half: Annotated[float, typer.Option(help="How far the scan goes to both sides, mm.")] = 30.0,
+    exposure: Exposure = None,
+    figure: Figure = None,
+    no_figure: NoFigure = False,
+    virtual: Virtual = False,
+    settings: Set = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> None:
+    """Modulation transfer across a slanted edge (figure 11).
+
+    [bold]Example[/]: scanhsi calibrate resolution characterise --axis line --plane geometry.nc -o mtf-line.nc
+    """
+    known = _plane(plane)
+    time = seconds_of(exposure, "--exposure")
+
+    async def take(calibrate: Calibrator) -> Result:
+        return await calibrate.resolution(output, axis=axis, plane=known, half_mm=half, exposure_s=time)
+
+    def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.targets_from_cubes import edge_from_cube
+
+        return edge_from_cube(_only(found, "a cube of the edge"), axis, plane=known)
+
+    run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
+
+
+def _plane(path: Path | None) -> Geometry | None:
+    if path is None:
+        return None
+    from scanhsi.calibration.geometry import Geometry
+    from scanhsi.calibration.result import load
+
+    return load(Geometry, path)
 
 
 def _dark_model(path: Path | None) -> DarkModel | None:

@@ -1,4 +1,4 @@
-"""Figures of mirror and optics: geometry, jitter, transfer functions, bars."""
+"""Figures of mirror and optics: wavelengths, geometry, jitter, transfer functions, bars."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scanhsi.calibration.figures.style import BLUE, GREY, ORANGE, RED, sheet
 from scanhsi.calibration.geometry import Geometry
 from scanhsi.calibration.jitter import Jitter
 from scanhsi.calibration.resolution import BarContrast, EdgeResponse
+from scanhsi.calibration.wavelength import Wavelength
 
 _AXES: Final = {"line": "along the scan", "sample": "along the slit"}
 
@@ -108,7 +109,34 @@ def draw_bars(result: BarContrast) -> Figure:
     return figure
 
 
+def draw_wavelength(result: Wavelength) -> Figure:
+    """Wavelength of the bands, what the lines leave, and the width of the lines (figures 9 and 10)."""
+    figure = sheet(f"Wavelengths, {result.source}", result.provenance)
+    left, middle, right = figure.subplots(1, 3)
+    left.plot(np.arange(result.bands), result.nm(), color=BLUE, linewidth=1)
+    left.plot(result.line_band, result.line_nm, "o", color=ORANGE, markersize=3)
+    left.set_xlabel("band")
+    left.set_ylabel("wavelength / nm")
+    rest = result.line_nm - result.nm(result.line_band)
+    slope = np.abs(np.gradient(result.nm())[0])
+    middle.errorbar(
+        result.line_nm, 1000 * rest, yerr=1000 * slope * result.line_band_sigma, fmt="o", color=BLUE, markersize=3
+    )
+    middle.axhline(0, color=GREY, linewidth=0.8)
+    middle.set_xlabel("wavelength / nm")
+    middle.set_ylabel("line less polynomial / pm")
+    right.errorbar(
+        result.line_nm, result.line_fwhm_nm, yerr=result.line_fwhm_sigma_nm, fmt="o", color=BLUE, markersize=3
+    )
+    nm = np.linspace(float(result.line_nm.min()), float(result.line_nm.max()), 50)
+    right.plot(nm, result.fwhm_nm(nm), color=ORANGE, linewidth=1)
+    right.set_xlabel("wavelength / nm")
+    right.set_ylabel("width of a line (FWHM) / nm")
+    return figure
+
+
 FIGURES: Final[dict[str, Callable[[Any], Figure]]] = {
+    Wavelength.kind: draw_wavelength,
     Geometry.kind: draw_geometry,
     Jitter.kind: draw_jitter,
     EdgeResponse.kind: draw_edge,

@@ -28,7 +28,8 @@ def draw_dark(result: DarkModel) -> Figure:
     left, middle, right = figure.subplots(1, 3)
     _distribution(left, result.rate, result.hot, "dark current / counts s$^{-1}$")
     left.set_ylabel("pixels")
-    left.legend()
+    left.legend(loc="upper right", fontsize=6.5)
+    _headroom(left)
     _distribution(middle, result.offset, result.hot, "offset / counts")
     seconds = np.linspace(0, result.longest_s, 50)
     good = ~result.hot
@@ -41,7 +42,7 @@ def draw_dark(result: DarkModel) -> Figure:
     right.set_ylabel("dark signal / counts")
     right.legend(loc="upper left")
     hot, odd = int(result.hot.sum()), int(result.nonlinear.sum())
-    right.set_title(f"{hot} hot, {odd} nonlinear of {result.hot.size} pixels")
+    right.set_title(f"{hot} hot, {odd} nonlinear pixels", fontsize=7.5)
     return figure
 
 
@@ -55,6 +56,12 @@ def _distribution(axes: Axes, values: Floats, hot: NDArray[np.bool_], label: str
         axes.hist(np.clip(values[hot], bins[0], bins[-1]), bins.tolist(), color=RED, label="hot, at the edge if beyond")
     axes.set_yscale("log")
     axes.set_xlabel(label)
+
+
+def _headroom(axes: Axes) -> None:
+    """Room for a legend above."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high * (high / low) ** 0.25 if axes.get_yscale() == "log" else high + 0.25 * (high - low))
 
 
 def draw_white(result: WhiteReference) -> Figure:
@@ -124,7 +131,9 @@ def draw_snr(result: SignalToNoise) -> Figure:
     left.set_ylabel("signal to noise / dB")
     left.set_title(r"20 log$_{10}$($\mu$ / $\sigma$)")
     right.set_title(r"as the paper, 10 log$_{10}$($\mu$ / $\sigma^2$)")
-    right.legend(title="exposure", fontsize=7, ncols=2)
+    low, high = left.get_ylim()
+    left.set_ylim(low - 0.25 * (high - low), high)
+    right.legend(title="exposure", fontsize=7, ncols=3, loc="lower center")
     return figure
 
 

@@ -1,0 +1,213 @@
+"""Geometry, jitter, backlash and resolution from cubes of printed targets: grid, slanted lines, slanted edge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from scanhsi.calibration.geometry import Geometry, fit_geometry, number_grid
+from scanhsi.calibration.jitter import Jitter, displacements, jitter
+from scanhsi.calibration.resolution import EdgeResponse, edge_response
+from scanhsi.characterise.picture import TargetPicture, target_picture
+from scanhsi.devices.errors import CalibrationError
+
+Floats = NDArray[np.float64]
+Path_ = str | Path
+
+_PROMINENT: Final = 0.3
+_AROUND: Final = 0.3  # of the distance of grid lines: what belongs to one
+_EDGE_HALF: Final = 32
+_SHIFT: Final = 16  # pixels that a slanted edge moves over the rows used
+_SHARE: Final = 0.5  # of the rows: the square that the edge belongs to has corners
+_UNWRAPPINGS: Final = 20
+_SLOW: Final = 3  # degree of the curve that perspective bends even motion into
+
+
+def geometry_from_cube(
+    cube: Path_, *, pitch_mm: float = 6.0, fit_tilt: bool = False, origin_known: bool = True
+) -> Geometry:
+    """Distance, normal step and sample pitch from a grid of dark lines (figure 7).
+
+    Args:
+        cube: Of the grid, its lines along slit and scan; the instrument file's distance has to be right to 5 %.
+        pitch_mm: Of the grid.
+        fit_tilt: Fit the tilt of the plane, too.
+        origin_known: A grid line lies at the foot of the normal; see `fit_geometry`.
+
+    Raises:
+        CalibrationError: No grid; see `fit_geometry`.
+    """
+    picture = target_picture(cube)
+    places = grid_lines(picture.values, axis=0)
+    steps = np.interp(places, np.arange(len(picture.steps)), picture.steps)
+    start = replace(picture.plane, sample_pitch_mm=_sample_pitch(picture, pitch_mm))
+    y_mm = number_grid(steps, start, pitch_mm) * pitch_mm
+    return fit_geometry(steps, y_mm, start, picture.provenance, fit_tilt=fit_tilt, origin_known=origin_known)
+
+
+def _sample_pitch(picture: TargetPicture, pitch_mm: float) -> float:
+    """From the lines across the slit near the normal, where the view is not magnified."""
+    near = np.abs(picture.plane.gamma_rad(picture.steps)) < math.radians(3)
+    if near.sum() < 8:
+        return picture.plane.sample_pitch_mm
+    places = grid_lines(picture.values[near], axis=1)
+    if len(places) < 3:
+        return picture.plane.sample_pitch_mm
+    spacing = float(np.median(places[1:] - places[:-1]))
+    number = np.rint((places - places[0]) / spacing)
+    number, places = number - number.mean(), places - places.mean()
+    return pitch_mm * float(np.sum(number**2) / np.sum(number * places))
+
+
+def grid_lines(values: Floats, axis: int) -> Floats:
+    """Where dark lines cross an axis of a picture, in pixels with fractions.
+
+    Lines along the axis itself hide in a median across it; each crossing is the centroid of its darkness.
+
+    Args:
+        values: (line, sample).
+        axis: 0: crossings along the scan; 1: along the slit.
+
+    Raises:
+        CalibrationError: Fewer than three lines stand out.
+    """
+    across = 1 - axis
+    even = values / np.maximum(
+        np.quantile(values, 0.9, axis=axis, keepdims=True), 1e-9
+    )  # uneven light across is no line
+    profile = np.median(even, axis=across)
+    bright = np.quantile(profile, 0.9)
+    depth = np.clip(1 - profile / bright, 0, None)
+    found = cast("Any", signal.find_peaks(np.pad(depth, 1), prominence=_PROMINENT * float(depth.max())))
+    peaks = np.asarray(found[0], np.int64) - 1
+    if len(peaks) < 3 or depth.max() < 0.05:
+        raise CalibrationError(
+            f"{len(peaks)} lines of a grid stand out {'along the scan' if axis == 0 else 'along the slit'}; three are needed.",
+            hint="is the grid in view, in focus, and its lines along slit and scan?",
+        )
+    reach = max(2, int(_AROUND * float(np.median(np.diff(peaks)))))
+    inside = [peak for peak in peaks.tolist() if reach <= peak < len(depth) - reach]
+    return np.array([_centroid(depth, peak, reach) for peak in _apart(inside, depth, 2 * reach)])
+
+
+def _apart(peaks: list[int], depth: Floats, least: int) -> list[int]:
+    """The deepest peak of each line: jitter can split one."""
+    kept: list[int] = []
+    for peak in peaks:
+        if kept and peak - kept[-1] < least:
+            if depth[peak] > depth[kept[-1]]:
+                kept[-1] = peak
+        else:
+            kept.append(peak)
+    return kept
+
+
+def _centroid(depth: Floats, peak: int, reach: int) -> float:
+    window = slice(peak - reach, peak + reach + 1)
+    place = np.arange(window.start, window.stop, dtype=np.float64)
+    weight = np.clip(depth[window] - 0.1 * depth[peak], 0, None)
+    return float(np.sum(weight * place) / np.sum(weight))
+
+
+def jitter_from_cube(
+    cube: Path_,
+    *,
+    slant_deg: float = 10.0,
+    period_mm: float = 2.0,
+    plane: Geometry | None = None,
+    turn_steps: float | None = None,
+    harmonics: int = 2,
+) -> Jitter:
+    """Jitter of every scan line, from a target of slanted lines (figure 8).
+
+    Args:
+        cube: Of the target, taken step by step around the normal.
+        slant_deg: Of the target's lines from the slit.
+        period_mm: Of the lines, across them.
+        plane: The geometry as measured; the instrument file's by default.
+        turn_steps: Steps of a turn of the shaft that may be out of true; a turn of the mirror by default.
+        harmonics: Of that turn.
+
+    Raises:
+        CalibrationError: No pattern; see `displacements` and `jitter`.
+    """
+    picture = target_picture(cube)
+    plane = plane or picture.plane
+    slope = math.tan(math.radians(slant_deg))
+    moved = displacements(picture.values, slope, plane.sample_pitch_mm)
+    turn = 2 * np.pi / abs(plane.step_rad) if turn_steps is None else turn_steps
+    phase = 2 * np.pi * picture.steps / turn
+    moved, slow = _unwrapped(moved, phase, harmonics, period_mm / math.cos(math.radians(slant_deg)))
+    return jitter(phase, moved - slow, picture.provenance, harmonics=harmonics, fitted=_SLOW)
+
+
+def _unwrapped(moved: Floats, phase: Floats, harmonics: int, period_mm: float) -> tuple[Floats, Floats]:
+    """Displacements that went over half a period put back, and the slow part of them, which is perspective.
+
+    A line that lies off by more than half a period looks like one on the other side. What is slow or periodic is fitted and
+    everything put to where it is nearest to that, until nothing moves any more.
+    """
+    line = np.linspace(-1, 1, len(moved))
+    slowly = np.stack([line**power for power in range(_SLOW + 1)], axis=1)
+    waves = [wave(order * phase) for order in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
+    design = np.concatenate([slowly, *(wave[:, None] for wave in waves)], axis=1)
+    coefficients = np.zeros(design.shape[1])
+    for _ in range(_UNWRAPPINGS):
+        coefficients = np.linalg.lstsq(design, moved, rcond=1e-9)[0]
+        fitted = design @ coefficients
+        before, moved = moved, fitted + (moved - fitted + period_mm / 2) % period_mm - period_mm / 2
+        if np.array_equal(np.round(moved - before, 6), np.zeros(len(moved))):
+            break
+    return moved, slowly @ coefficients[: _SLOW + 1]
+
+
+def edge_from_cube(
+    cube: Path_, axis: Literal["line", "sample"], *, plane: Geometry | None = None, slant_deg: float = 5.0
+) -> EdgeResponse:
+    """Modulation transfer across the strongest edge along an axis (figure 11).
+
+    Args:
+        cube: Of a slanted edge.
+        axis: ``line`` along the scan, ``sample`` along the slit.
+        plane: The geometry as measured; the instrument file's by default.
+        slant_deg: Of the edge, roughly.
+
+    Raises:
+        CalibrationError: No edge; see `edge_response`.
+    """
+    picture = target_picture(cube)
+    plane = plane or picture.plane
+    stride = abs(float(np.median(np.diff(picture.steps))))
+    pitches = float(plane.line_pitch_mm(plane.normal_step)) * stride, plane.sample_pitch_mm
+    along, across = pitches if axis == "line" else pitches[::-1]
+    rows = int(_SHIFT / (math.tan(math.radians(slant_deg)) * across / along))
+    part, line = _around_edge(
+        picture.values,
+        0 if axis == "line" else 1,
+        min(rows, int(_SHARE * picture.values.shape[1 if axis == "line" else 0])),
+    )
+    there = float(picture.steps[line])
+    here = plane.line_pitch_mm(there) * stride if axis == "line" else plane.x_mm(plane.principal_sample + 1, there)
+    return edge_response(part, axis, float(here), picture.provenance)
+
+
+def _around_edge(values: Floats, axis: int, rows: int) -> tuple[Floats, int]:
+    """The neighbourhood of the strongest edge along an axis, and the line in the middle of it."""
+    turned = values.T if axis == 0 else values  # (across, along)
+    centre = len(turned) // 2
+    middle = slice(max(0, centre - rows // 2), centre + rows // 2)
+    profile = turned[middle].mean(axis=0)
+    if len(profile) < 2 * _EDGE_HALF + 20:
+        raise CalibrationError(f"an edge needs {2 * _EDGE_HALF + 20} pixels on its axis, not {len(profile)}.")
+    smooth = np.convolve(profile, np.ones(_SHIFT) / _SHIFT, mode="valid")
+    slope = np.abs(smooth[_SHIFT:] - smooth[:-_SHIFT])  # of the steps around place index + _SHIFT - 1/2
+    first = max(0, _EDGE_HALF - _SHIFT)
+    place = int(np.argmax(slope[first : len(slope) - first])) + first + _SHIFT
+    part = turned[middle, max(0, place - _EDGE_HALF) : place + _EDGE_HALF]
+    return (part.T if axis == 0 else part), place if axis == 0 else centre
