@@ -423,7 +423,9 @@ def test_it_says_what_it_is() -> None:
 
 
 def test_abilities_are_those_of_its_class() -> None:
-    assert camera_backend.capabilities == ("HardwareTriggered", "FreeRunning", "OverlapsReadout", "ForetellsEnd")
+    abilities = ("HardwareTriggered", "FreeRunning", "OverlapsReadout", "ForetellsEnd", "ShowsScenes")
+    assert camera_backend.capabilities == abilities
+    assert camera_backend.capabilities == abilities
     plain, overlapping = (camera("ideal", overlap=overlap) for overlap in (False, True))
     assert isinstance(plain, HardwareTriggered)
     assert isinstance(plain, FreeRunning)
@@ -451,3 +453,21 @@ def test_it_is_found_by_its_entry_point() -> None:
 def test_options_that_make_no_sense_are_refused(options: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         CameraOptions(**options)
+
+
+def test_it_is_shown_another_scene_between_two_acquisitions_and_only_then() -> None:
+    async def main() -> None:
+        device = camera("ideal", scene="dark")
+        await device.connect()
+        assert device.scene == "dark"
+        await device.show("white")
+        assert (device.scene, "white" in device.info.model) == ("white", True)
+        with pytest.raises(OutOfRange, match="there is no scene 'foot'"):
+            await device.show("foot")
+        await device.configure(CameraSettings(exposure_s=0.02))
+        await device.arm(Trigger.SOFTWARE, 2)
+        with pytest.raises(DeviceBusy, match="armed"):
+            await device.show("dark")
+        await device.close()
+
+    virtually(main)
