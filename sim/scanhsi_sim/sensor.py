@@ -58,6 +58,7 @@ class Sensor:
         low, high = np.log(np.maximum(options.hot_e_per_s, 1e-9))
         self.dark_e_per_s[self.hot] = np.exp(rng.uniform(low, high, int(self.hot.sum())))
         self.offset_e = (options.offset_e + options.dsnu_e * rng.standard_normal(shape)).astype(np.float32)
+        self._last_dark: tuple[object, Floats] = None, self.offset_e
         self._bank = rng.standard_normal(max(_BANK, 2 * shape[0] * shape[1]), np.float32)
 
     def counts_per_electron(self, gain_db: float, bits: int) -> float:
@@ -109,7 +110,7 @@ class Sensor:
         key = (index, acquisition, round(exposure_s * 1e9))
         noise = self._noise(key, bands * samples).reshape(bands, samples)
         here = (slice(offset[0], offset[0] + bands), slice(offset[1], offset[1] + samples))
-        response, black, dark = self.response[here], self.offset_e[here], self.dark_e(exposure_s, here)
+        response, black, dark = self.response[here], self.offset_e[here], self._dark(exposure_s, here)
         for first in range(0, bands, _ROWS):
             rows = slice(first, first + _ROWS)
             electrons = _product(columns[rows], light)
@@ -121,6 +122,14 @@ class Sensor:
             electrons += np.float32(0.5)
             frame[rows] = np.clip(electrons, 0, top, out=electrons)
         return frame
+
+    def _dark(self, exposure_s: float, here: tuple[slice, slice]) -> Floats:
+        """`dark_e`, kept from one frame to the next: a scan asks for the same one at each line."""
+        key, dark = self._last_dark
+        if key != (exposure_s, here):
+            dark = self.dark_e(exposure_s, here)
+            self._last_dark = (exposure_s, here), dark  # at once: other threads see both or neither
+        return dark
 
     def _add_noise(self, electrons: Floats, noise: Floats) -> None:
         """Shot and read noise, and the full well. A full pixel has no shot noise any more, only that of reading."""
