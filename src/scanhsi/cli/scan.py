@@ -151,6 +151,7 @@ async def _scan(
 ) -> ScanReport:
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
+    from scanhsi.devices.errors import ScanFailed
     from scanhsi.imager import open_instrument
 
     console = messages()
@@ -171,6 +172,10 @@ async def _scan(
                     if output is not None:
                         look = f"scanhsi info {output}" if spool is None else f"scanhsi drain {spool}"
                         tell(f"what was stored before is safe: {look}")
+                    raise
+                except ScanFailed:
+                    if spool is not None:
+                        tell(f"what was stored waits in the spool, safe: scanhsi drain {spool}")
                     raise
                 finally:
                     interrupt.scanning = False
