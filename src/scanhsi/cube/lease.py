@@ -251,7 +251,7 @@ class Lease:
 
     def _fields(self) -> dict[str, Any]:
         return {
-            "comment": "a scanhsi writer is at work, or was killed; see https://scanhsi.readthedocs.io",
+            "comment": "a scanhsi writer is at work here, or was killed",
             "owner": self.owner,
             "host": socket.gethostname(),
             "process": _this_process(),
