@@ -50,9 +50,16 @@ def _draw(look: Quicklook, title: str) -> Figure:
     colour.imshow(np.nan_to_num(look.colour, nan=0.6), extent=extent, aspect=stretch)
     colour.set_title(look.colour_note, fontsize=8)
     low, high = np.nanpercentile(look.band, [1, 99.5])
-    image = band.imshow(look.band, cmap="gray", vmin=low, vmax=max(high, low + 1), extent=extent, aspect=stretch)
+    image = band.imshow(
+        look.band,
+        cmap="gray",
+        vmin=low,
+        vmax=max(high, low + (1 if look.quantity == "counts" else 1e-3)),
+        extent=extent,
+        aspect=stretch,
+    )
     band.set_title(look.band_name, fontsize=8)
-    figure.colorbar(image, ax=band, label="counts", shrink=0.8)
+    figure.colorbar(image, ax=band, label=look.quantity, shrink=0.8)
     for axes in (colour, band):
         _hatch(axes, look.missing, extent)
         axes.set_xlabel("sample" if look.extent_mm is None else "mm along the slit")

@@ -1,8 +1,9 @@
 """A first look at a raw cube: its colours, and one band.
 
-Colour needs reflectance, and a raw cube has no references. So it is assumed, band by band, that the darkest hundredth of the
-picture is black and that its brightest two-hundredth is a white patch. With a white strip or tile in view colours are right;
-without, what is brightest turns white. Where something is known to be white, say so with ``white``. Brightness is relative.
+Colour needs reflectance, and a raw cube has no references (a cube of reflectance needs none). So it is assumed, band by band, that
+the darkest hundredth of the picture is black and that its brightest two-hundredth is a white patch. With a white strip or tile in view
+colours are right; without, what is brightest turns white. Where something is known to be white, say so with ``white``. Brightness
+is relative.
 """
 
 from __future__ import annotations
@@ -40,8 +41,9 @@ class Quicklook:
         colour: (rows, columns, 3) float32, sRGB from 0 to 1; nan where no line is stored.
         true_colour: False for a cube without visible wavelengths: then ``colour`` shows thirds of the bands.
         colour_note: How the colours were made, in one line.
-        band: (rows, columns) float32, mean counts; nan where no line is stored.
+        band: (rows, columns) float32, means; nan where no line is stored.
         band_name: Which band it is (``"803 nm"``).
+        quantity: What its numbers are: counts, reflectance.
         missing: (lines,) bool, lines without pixels.
         samples: Samples of a line.
         extent_mm: (left, right, bottom, top) in the object plane; None where the instrument's geometry is not known.
@@ -54,6 +56,7 @@ class Quicklook:
     colour_note: str
     band: Floats
     band_name: str
+    quantity: str
     missing: NDArray[np.bool_]
     samples: int
     extent_mm: tuple[float, float, float, float] | None
@@ -98,7 +101,15 @@ def quicklook(
     bands = _choose_bands(dataset, band_nm)
     binning = (math.ceil(len(missing) / _LONGEST_SIDE), math.ceil(dataset.sizes["sample"] / _LONGEST_SIDE))
     spectra, band = _shrink(dataset, bands, ~missing, binning)
-    black, reference, note = _references(spectra, white, binning, _name(cube))
+    quantity = str(dataset["cube"].attrs.get("long_name", "")) if dataset["cube"].dtype.kind == "f" else "counts"
+    if quantity == "reflectance" and white is None:
+        black, reference, note = (
+            np.zeros(len(spectra), np.float32),
+            np.ones(len(spectra), np.float32),
+            "of the reflectance",
+        )
+    else:
+        black, reference, note = _references(spectra, white, binning, _name(cube))
     colour, how = _colours(spectra, black, np.maximum(reference - black, 1e-3), bands.wavelength_nm)
     return Quicklook(
         colour=colour,
@@ -106,6 +117,7 @@ def quicklook(
         colour_note=f"{how}; {note}",
         band=band,
         band_name=bands.name,
+        quantity=quantity,
         missing=missing,
         samples=dataset.sizes["sample"],
         extent_mm=_extent_mm(dataset),
