@@ -164,3 +164,13 @@ def test_lines_as_they_arrive_give_what_the_cube_gives(cubes):
     stored = open_cube(cubes / "out.zarr")["cube"].values
     for line in (0, 7, 8, 44):
         np.testing.assert_array_equal(live(raw["cube"].isel(line=line).values), stored[:, line])
+
+
+def test_colours_of_reflectance_need_no_guess(cubes):
+    from scanhsi.calibration.quicklook import quicklook
+
+    process(cubes / "hand.zarr", cubes / "out.zarr", steps(cubes))
+    look = quicklook(cubes / "out.zarr")
+    assert look.quantity == "reflectance"
+    assert "of the reflectance" in look.colour_note
+    assert quicklook(cubes / "hand.zarr").quantity == "counts"

@@ -1,9 +1,9 @@
 """A first look at a raw cube: its colours, and one band.
 
-Colour needs reflectance, and a raw cube has no references (a cube of reflectance needs none). So it is assumed, band by band, that
-the darkest hundredth of the picture is black and that its brightest two-hundredth is a white patch. With a white strip or tile in view
-colours are right; without, what is brightest turns white. Where something is known to be white, say so with ``white``. Brightness
-is relative.
+Colour needs reflectance, and a raw cube has no references (a cube of reflectance needs none). So it is assumed, band by band,
+that the darkest hundredth of the picture is black and that its brightest two-hundredth is a white patch. With a white strip or tile
+in view colours are right; without, what is brightest turns white. Where something is known to be white, say so with ``white``.
+Brightness is relative.
 """
 
 from __future__ import annotations
