@@ -19,8 +19,8 @@ from scanhsi.calibration.peaks import FWHM_PER_SIGMA, noise_of
 
 Floats = NDArray[np.float64]
 
-_OVERLAP: Final = 2.2  # FWHM between neighbours of one group
-_REACH: Final = 1.6  # FWHM to either side that a fit takes in
+_OVERLAP: Final = 2.7  # FWHM between neighbours of one group: farther ones do not reach into its window
+_REACH: Final = 1.4  # FWHM to either side that a fit takes in
 _WEAK: Final = 0.004  # of the highest line of its group: has no say
 _ITERATIONS: Final = 12
 _FARTHEST: Final = 0.8  # FWHM a group may be from where it is expected

@@ -188,7 +188,8 @@ def fit_smile(
         provenance: Where the lines come from.
 
     Returns:
-        The smile, and where each line lies at the reference sample with its standard error, in bands, (line,).
+        The smile, and where each line lies at the reference sample with its standard error, in bands, (line,); the error is nan
+        of a line that does not follow the others.
 
     Raises:
         CalibrationError: The places cannot be fitted.
@@ -220,8 +221,10 @@ def fit_smile(
         raise CalibrationError("the lines do not share a smile.", hint="is the slit lit evenly, and all of it?")
     weighted = design[good] / sigma[good, None]
     scatter = max(1.0, float(np.sum((left[good] / sigma[good]) ** 2)) / freedom)
-    spread = np.sqrt(np.diag(np.linalg.pinv(weighted.T @ weighted)) * scatter)
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(weighted.T @ weighted)), 0) * scatter)
     lines = len(middle)
+    used, shown = np.bincount(line[good], minlength=lines), np.bincount(line, minlength=lines)
+    spread[:lines][used < 0.5 * shown] = np.nan  # it bends otherwise than the rest: another line lies below it
     smile = Smile(
         bands=bands,
         samples=samples,
@@ -286,5 +289,6 @@ def calibrate_spectrograph(
             shift=0.0,
         )
         for index, nm in enumerate(traces.line_nm)
+        if np.isfinite(sigma[index])
     ]
     return through(fitted, bands, len(peaks), lines.name, degree, provenance), smile
