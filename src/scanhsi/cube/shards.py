@@ -101,7 +101,9 @@ class CubeFiles:
         self.durability: Durability = durability
         self._durable = durability == "every shard"
         self._documents: Documents = {}
-        self._lanes: queue.SimpleQueue[_Lane] = queue.SimpleQueue()
+        self._lanes: queue.LifoQueue[_Lane] = (
+            queue.LifoQueue()
+        )  # the one used last: one thread touches the memory of one
 
     @property
     def name(self) -> str:
