@@ -25,9 +25,9 @@ from scanhsi.processing import MaskSaturated, Reflectance, Step, SubtractDark, p
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(1800)]
 
-LINES, BANDS, SAMPLES = 416, 1088, 1200
+LINES, BANDS, SAMPLES = 608, 1088, 1200
 RAW_BYTES = 2 * LINES * BANDS * SAMPLES
-LIMIT_BYTES = 1_000_000_000
+LIMIT_BYTES = 1_500_000_000
 """Memory of all workers together; of the threads too."""
 NEEDED_BYTES = 20e9
 PLAN = {"exposure_s": 0.02, "gain_db": 0.0, "pixel_format": "Mono12"}
