@@ -56,19 +56,26 @@ def cell_means(values: NDArray[Any], edges: Floats) -> NDArray[np.float32]:
     """
     last = values.shape[-1] - 1
     unknown = np.isnan(values)
-    filled = np.where(unknown, 0, values).astype(np.float64)
+    some_unknown = bool(unknown.any())
+    filled = np.where(unknown, np.float32(0), values) if some_unknown else values
     inside = np.clip(edges, 0, last)
-    at = np.clip(np.floor(inside), 0, last - 1).astype(np.intp)
-    share = inside - at
-    sums = np.zeros(filled.shape)
-    np.cumsum((filled[..., 1:] + filled[..., :-1]) / 2, axis=-1, out=sums[..., 1:])
-    rise = filled[..., at + 1] - filled[..., at]
-    integral = sums[..., at] + share * filled[..., at] + share**2 / 2 * rise
-    means = (np.diff(integral, axis=-1) / np.diff(edges)).astype(np.float32)
-    if unknown.any():
+    first = np.floor(inside[:-1]).astype(np.intp)
+    width = np.maximum(np.diff(inside), _NEGLIGIBLE)
+    means = np.zeros((*values.shape[:-1], len(edges) - 1), np.float32)
+    for tap in range(int((np.ceil(inside[1:]) - first).max()) + 1):
+        place = first + tap
+        weight = (_hat_integral(inside[1:] - place) - _hat_integral(inside[:-1] - place)) / width
+        means += weight.astype(np.float32) * filled[..., np.minimum(place, last)]
+    if some_unknown:
         means[_any_between(unknown, inside)] = np.nan
     means[..., ~_within(edges, 0.0, float(last))] = np.nan
     return means
+
+
+def _hat_integral(t: Floats) -> Floats:
+    """Integral up to t of the hat that is 1 at 0 and falls to 0 at -1 and 1."""
+    t = np.clip(t, -1, 1)
+    return np.where(t < 0, (t + 1) ** 2 / 2, 1 - (1 - t) ** 2 / 2)
 
 
 def _any_between(unknown: NDArray[np.bool_], edges: Floats) -> NDArray[np.bool_]:

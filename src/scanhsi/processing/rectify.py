@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 _STEEPEST_RAD: Final = math.radians(60)
 _GAP: Final = 1.5  # of the usual distance of lines, in steps: beyond, a line is missing between
-_LINES_AT_ONCE: Final = 8
+_LINES_AT_ONCE: Final = 16
+_BLOCK_BYTES: Final = 48_000_000  # of lines that are taken in
 _LARGEST: Final = 100_000  # lines or samples of a grid
 
 
@@ -116,22 +117,28 @@ class _Rectified(BackendArray):
     def _read(self, key: tuple[int | slice, ...]) -> NDArray[Any]:
         bands, lines, samples = key
         wanted = np.atleast_1d(np.arange(self.shape[1])[lines])
-        band = slice(bands, bands + 1) if isinstance(bands, int) else bands
-        count = len(range(*band.indices(self.shape[0])))
-        out = np.full((count, len(wanted), self.shape[2]), np.nan, np.float32)
+        chosen = np.atleast_1d(np.arange(self.shape[0])[bands])
+        out = np.full((len(chosen), len(wanted), self.shape[2]), np.nan, np.float32)
         for first in range(0, len(wanted), _LINES_AT_ONCE):
             some = slice(first, first + _LINES_AT_ONCE)
-            out[:, some] = self._rectify(band, wanted[some])
+            for part in self._band_parts(len(chosen), wanted[some]):
+                out[part, some] = self._rectify(chosen[part], wanted[some])
         return out[0 if isinstance(bands, int) else slice(None), 0 if isinstance(lines, int) else slice(None)][
             ..., samples
         ]
 
-    def _rectify(self, bands: slice, wanted: NDArray[np.intp]) -> NDArray[np.float32]:
+    def _band_parts(self, bands: int, wanted: NDArray[np.intp]) -> list[slice]:
+        """So many bands at a time that what a coarse grid takes in does not fill the memory."""
+        taken_in = max(1, int(np.count_nonzero((self._weights[wanted] > 0).any(axis=0))))
+        at_once = max(1, _BLOCK_BYTES // (taken_in * self._cube.sizes["sample"] * 4))
+        return [slice(first, first + at_once) for first in range(0, bands, at_once)]
+
+    def _rectify(self, bands: NDArray[np.intp], wanted: NDArray[np.intp]) -> NDArray[np.float32]:
         """Some new lines, (band, line, sample)."""
         weights = self._weights[wanted]
         used = np.flatnonzero((weights > 0).any(axis=0))
         known = ~np.isnan(weights).any(axis=1)
-        out = np.full((len(range(*bands.indices(self.shape[0]))), len(wanted), self.shape[2]), np.nan, np.float32)
+        out = np.full((len(bands), len(wanted), self.shape[2]), np.nan, np.float32)
         if not used.size:
             return out
         window = slice(int(used[0]), int(used[-1]) + 1)
@@ -148,10 +155,11 @@ class _Rectified(BackendArray):
             out[:, index] = means[:, ::-1] if turned else means
         return out
 
-    def _values(self, bands: slice, lines: NDArray[np.intp]) -> NDArray[np.float32]:
+    def _values(self, bands: NDArray[np.intp], lines: NDArray[np.intp]) -> NDArray[np.float32]:
         """Lines of the cube, (band, line, sample); saturated counts are nan."""
         block = slice(int(lines.min()), int(lines.max()) + 1)
-        raw = np.asarray(self._cube.isel(band=bands, line=block).values)[:, lines - block.start]
+        near = slice(int(bands.min()), int(bands.max()) + 1)
+        raw = np.asarray(self._cube.isel(band=near, line=block).values)[:, lines - block.start][bands - near.start]
         values = raw.astype(np.float32)
         if self._saturation is not None:
             values[raw >= self._saturation] = np.nan
