@@ -78,6 +78,7 @@ def specification(
         measured = {row.key for row in rows}
         rows += [row for row in instrument_rows(instrument) if row.key not in measured]
     youngest = {row.key: row for row in rows}  # later ones replace earlier ones
+    youngest |= _worse_bar(youngest)
     table = tuple(
         replace(youngest[key], title=title, paper=paper)
         if key in youngest
@@ -87,6 +88,14 @@ def specification(
     further = tuple(row for key, row in youngest.items() if key not in TABLE_7)
     simulated = any(row.simulated for row in (*table, *further))
     return Sheet(instrument.name if instrument else "line-scanning imager", simulated, table, further)
+
+
+def _worse_bar(rows: Mapping[str, Row]) -> dict[str, Row]:
+    """The paper's resolution: the larger bar of both axes, once both were measured."""
+    both = [rows[key] for key in ("usaf line", "usaf sample") if key in rows]
+    if len(both) < 2 or any(row.number is None for row in both):
+        return {}
+    return {"usaf": replace(max(both, key=lambda row: row.number or 0.0), key="usaf")}
 
 
 def _time_of(provenance: Provenance) -> str:

@@ -7,9 +7,10 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -75,42 +76,77 @@ def _origin(row: Row) -> str:
 
 
 def _write_pdf(sheet: Sheet, path: Path) -> None:
-    figure = Figure(figsize=(8.27, 11.69))  # A4
-    FigureCanvasPdf(figure)
-    top = _heading(figure, sheet)
-    top = _draw_rows(figure, sheet.table, top, paper=True)
+    with PdfPages(path, metadata={"Title": f"Specifications of {sheet.name}"}) as pages:
+        for figure in draw_pages(sheet):
+            pages.savefig(figure)
+
+
+def draw_pages(sheet: Sheet) -> list[Figure]:
+    """The sheet as pages of A4."""
+    page = _Page(sheet)
+    page.rows(sheet.table, paper=True)
     if sheet.further:
-        figure.text(0.07, top - 0.018, "Further characteristics", fontsize=10, fontweight="bold", va="top")
-        top = _draw_rows(figure, sheet.further, top - 0.045, paper=False)
-    figure.text(0.07, 0.03, f"Made {sheet.created} by scanhsi {sheet.version}.", fontsize=6.5, color="0.4")
-    figure.savefig(path, metadata={"Title": f"Specifications of {sheet.name}"})
+        page.heading("Further characteristics")
+        page.rows(sheet.further, paper=False)
+    return page.figures
 
 
-def _heading(figure: Figure, sheet: Sheet) -> float:
-    figure.text(0.07, 0.95, f"Specifications of {sheet.name}", fontsize=14, fontweight="bold", va="top")
-    if not sheet.simulated:
-        return 0.915
-    box = {"facecolor": "#C1272D", "edgecolor": "none", "pad": 4}
-    figure.text(0.075, 0.915, LOUD, fontsize=10, fontweight="bold", color="white", va="top", bbox=box)
-    return 0.88
-
-
-_WIDTHS: Final = (30, 40, 18, 30, 22)
-_PLACES: Final = (0.07, 0.285, 0.545, 0.665, 0.845)
+_WIDTHS: Final = (29, 36, 17, 26, 19)
+_PLACES: Final = (0.07, 0.285, 0.535, 0.66, 0.845)
 _LINE: Final = 0.0118
+_BOTTOM: Final = 0.055
 
 
-def _draw_rows(figure: Figure, rows: Sequence[Row], top: float, *, paper: bool) -> float:
-    count = 5 if paper else 4
-    for place, title in zip(_PLACES[:count], _COLUMNS, strict=False):
-        figure.text(place, top, title, fontsize=7.5, fontweight="bold", va="top")
-    top -= 0.016
-    for row in rows:
-        figure.add_artist(Line2D([0.07, 0.97], [top + 0.002, top + 0.002], color="0.85", linewidth=0.5))
-        cells = [row.title, row.value, row.uncertainty, _origin(row), row.paper][:count]
-        wrapped = [textwrap.wrap(cell, width) or [""] for cell, width in zip(cells, _WIDTHS, strict=False)]
-        colour = "0.5" if row.value == NOT_MEASURED else "black"
-        for place, lines in zip(_PLACES, wrapped, strict=False):
-            figure.text(place, top - 0.001, "\n".join(lines), fontsize=7, va="top", color=colour, linespacing=1.15)
-        top -= _LINE * max(map(len, wrapped)) + 0.004
-    return top
+class _Page:
+    """Puts rows on pages, from above, and begins a new page where one is full."""
+
+    def __init__(self, sheet: Sheet) -> None:
+        self._sheet = sheet
+        self.figures: list[Figure] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        sheet = self._sheet
+        self._figure = Figure(figsize=(8.27, 11.69))  # A4
+        FigureCanvasAgg(self._figure)
+        self.figures.append(self._figure)
+        self._text(0.07, 0.95, f"Specifications of {sheet.name}", fontsize=14, fontweight="bold")
+        self._top = 0.915
+        if sheet.simulated:
+            box = {"facecolor": "#C1272D", "edgecolor": "none", "pad": 4}
+            self._text(0.075, self._top, LOUD, fontsize=10, fontweight="bold", color="white", bbox=box)
+            self._top -= 0.035
+        foot = f"Made {sheet.created} by scanhsi {sheet.version}. Page {len(self.figures)}."
+        self._text(0.07, 0.035, foot, fontsize=6.5, color="0.4")
+
+    def heading(self, title: str) -> None:
+        """A title within the page."""
+        if self._top < _BOTTOM + 0.1:
+            self._begin()
+        self._text(0.07, self._top - 0.018, title, fontsize=10, fontweight="bold")
+        self._top -= 0.045
+
+    def rows(self, rows: Sequence[Row], *, paper: bool) -> None:
+        """A table."""
+        self._columns(paper=paper)
+        for row in rows:
+            cells = [row.title, row.value, row.uncertainty, _origin(row), row.paper][: 5 if paper else 4]
+            wrapped = [textwrap.wrap(cell, width) or [""] for cell, width in zip(cells, _WIDTHS, strict=False)]
+            height = _LINE * max(map(len, wrapped)) + 0.004
+            if self._top - height < _BOTTOM:
+                self._begin()
+                self._columns(paper=paper)
+            colour = "0.5" if row.value == NOT_MEASURED else "black"
+            rule = Line2D([0.07, 0.97], [self._top + 0.002] * 2, color="0.85", linewidth=0.5)
+            self._figure.add_artist(rule)
+            for place, lines in zip(_PLACES, wrapped, strict=False):
+                self._text(place, self._top - 0.001, "\n".join(lines), fontsize=7, color=colour, linespacing=1.15)
+            self._top -= height
+
+    def _columns(self, *, paper: bool) -> None:
+        for place, title in zip(_PLACES[: 5 if paper else 4], _COLUMNS, strict=False):
+            self._text(place, self._top, title, fontsize=7.5, fontweight="bold")
+        self._top -= 0.016
+
+    def _text(self, x: float, y: float, text: str, **style: Any) -> None:
+        self._figure.text(x, y, text, va="top", **style)

@@ -55,6 +55,7 @@ def run_job(job: Job) -> None:
     """Run a command to its end."""
     from scanhsi.calibration.figures import draw
     from scanhsi.calibration.result import save
+    from scanhsi.characterise.spec import TABLE_7
     from scanhsi.characterise.spec_rows import result_rows
 
     if (job.instrument is None) == (job.cubes is None):
@@ -88,8 +89,9 @@ def run_job(job: Job) -> None:
         )
         return
     for row in rows:
+        title = row.title or TABLE_7[row.key][0]
         sigma = f" (+- {row.uncertainty})" if row.uncertainty else ""
-        results().print(f"{row.title or row.key}: {row.value}{sigma}", soft_wrap=True)
+        results().print(f"{title}: {row.value}{sigma}", soft_wrap=True)
     if result.provenance.simulated:
         results().print("SIMULATED: no instrument was measured.", style="bold yellow")
     messages().print(f"{job.output}{'' if drawn is None else f', {drawn}'}", soft_wrap=True)

@@ -7,6 +7,7 @@ mixes two versions of a shard that is replaced under it. Without it, and for URL
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -90,7 +91,7 @@ def _tensorstore_reader(location: Location, name: str, metadata: ArrayV3Metadata
 
     spec = {
         "driver": "zarr3",
-        "kvstore": {"driver": "file", "path": f"{location.text}/{name}/"},
+        "kvstore": {"driver": "file", "path": f"{os.path.abspath(location.text)}/{name}/"},  # it takes no ".."
         "metadata": _as_json(metadata),
     }
     context = tensorstore.Context(_NO_CACHE)

@@ -41,7 +41,7 @@ def draw_geometry(result: Geometry) -> Figure:
         axes.axvspan(
             result.normal_step - linear.steps,
             result.normal_step + linear.steps,
-            color="0.94",
+            color="0.9",
             zorder=0,
             label="linear range",
         )
