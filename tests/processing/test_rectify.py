@@ -109,6 +109,8 @@ def test_a_written_cube_is_the_lazy_one_and_has_its_coordinates(tmp_path):
     assert flat["wavelength"].values.tolist() == [450, 550, 650]
     assert flat.attrs["processing"][-1]["distance_mm"] == 348.73
     assert flat.attrs["simulated"] is True
+    scale = flat.attrs["ome"]["multiscales"][0]["datasets"][0]["coordinateTransformations"][0]["scale"]
+    assert scale == pytest.approx([1, 2, 2])
     assert flat.sel(x=0, y=0, method="nearest")["mirror_step"] == pytest.approx(MODEL.normal_step, abs=8)
     assert flat["commanded_ns"].values[0] in (1000, 1001)
     process(tmp_path / "flat.zarr", tmp_path / "binned.zarr", [BinBands(3)])

@@ -43,7 +43,7 @@ def new_cube(
     """The documents of an empty cube of the planned size, and its other files (wavelengths)."""
     files: dict[str, Buffer] = {}
     stored = spec.stored
-    head = {**root_attributes(), "scanhsi_format": FORMAT, **spec.attributes, **attributes}
+    head = {**root_attributes(_pitch_mm(stored)), "scanhsi_format": FORMAT, **spec.attributes, **attributes}
     group = zarr.create_group(MemoryStore(files), attributes={"missing": {}, **head, "complete": False})
     if stored.wavelength_nm is not None:
         group.create_array(
@@ -80,6 +80,16 @@ def new_cube(
     contents = {key: value.to_bytes() for key, value in files.items()}
     documents: Documents = {key: json.loads(contents.pop(key)) for key in list(contents) if key.endswith(ROOT)}
     return documents, contents
+
+
+def _pitch_mm(spec: CubeSpec) -> tuple[float, float] | None:
+    """Distance of lines and of samples of a rectified cube."""
+    places = {coordinate.name: coordinate.values for coordinate in spec.coordinates if coordinate.values.ndim == 1}
+    if "x" not in places or "y" not in places or min(len(places["x"]), len(places["y"])) < 2:
+        return None
+    along_x, along_y = (np.diff(places[name]) for name in ("x", "y"))
+    even = all(np.allclose(steps, steps[0], rtol=1e-6) for steps in (along_x, along_y))
+    return (abs(float(along_y[0])), abs(float(along_x[0]))) if even else None
 
 
 def _create_line_array(group: zarr.Group, variable: LineVariable, lines: int, lines_per_shard: int) -> None:
