@@ -53,7 +53,7 @@ def test_backlash_within_a_tenth_of_a_step(shift: float):
     scene = np.convolve(scene, np.hanning(15) / 7, "same")
     place = np.arange(-200.0, 500.0)
     forward = np.interp(steps, place, scene) + rng.normal(0, 0.05, 300)
-    backward = np.interp(steps - shift, place, scene) + rng.normal(0, 0.05, 300)
+    backward = np.interp(steps + shift, place, scene) + rng.normal(0, 0.05, 300)
     assert backlash_steps(forward, backward) == pytest.approx(shift, abs=0.1)
 
 

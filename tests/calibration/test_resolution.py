@@ -40,6 +40,18 @@ def test_transfer_function_against_the_analytic_curve(sigma_mm: float, axis):
     assert found.angle_deg == pytest.approx(5.0, abs=0.1)
 
 
+def test_the_slant_of_pixels_that_are_not_square_is_that_on_the_target():
+    """Rows 0.228 mm apart, pixels of 0.1 mm: 5 degrees on the target are 11 in pixels."""
+    stretched = slanted(0.1, angle_deg=math.degrees(math.atan(math.tan(math.radians(5)) * 0.228 / PITCH)))
+    found = edge_response(stretched, "sample", PITCH, Provenance(), across_mm=0.228)
+    assert found.angle_deg == pytest.approx(5.0, abs=0.1)
+    square = edge_response(stretched, "sample", PITCH, Provenance())
+    assert square.angle_deg == pytest.approx(11.3, abs=0.2)
+    assert square.mtf50_per_mm / found.mtf50_per_mm == pytest.approx(
+        math.cos(math.radians(5)) / math.cos(math.radians(11.28)), rel=1e-3
+    )
+
+
 def test_jitter_alone_as_the_paper_would_have_had_it():
     found = edge_response(slanted(0.2, box=False), "sample", PITCH, Provenance())
     for bar_mm, expected in ((2.0, 0.952), (1.0, 0.821), (0.5, 0.454), (0.3, 0.112)):

@@ -173,8 +173,8 @@ def backlash_steps(forward: Floats, backward: Floats) -> float:
         backward: The same steps taken downwards, put in the order of ``forward``.
 
     Returns:
-        The shift in lines, with fractions: the best match of the two; positive where the backward scan sees what the forward scan
-        saw at lower steps.
+        The lag in lines, with fractions: the best match of the two; positive where the backward scan sees what the forward scan saw
+        at higher steps, as play in the drive makes it.
 
     Raises:
         CalibrationError: Sizes that differ, too few lines, or nothing that varies along the scan.
@@ -191,7 +191,7 @@ def backlash_steps(forward: Floats, backward: Floats) -> float:
     mismatch = np.array([_mismatch(first, second, int(shift)) for shift in shifts])
     best = int(np.argmin(mismatch))
     whole = int(shifts[best])
-    return whole + _fraction(first, second, whole)
+    return -(whole + _fraction(first, second, whole))
 
 
 def _overlap(first: Floats, second: Floats, shift: int) -> tuple[Floats, Floats]:

@@ -51,7 +51,9 @@ class EdgeResponse:
     provenance: Provenance
 
 
-def edge_response(picture: NDArray[Any], axis: Axis, pitch_mm: float, provenance: Provenance) -> EdgeResponse:
+def edge_response(
+    picture: NDArray[Any], axis: Axis, pitch_mm: float, provenance: Provenance, *, across_mm: float | None = None
+) -> EdgeResponse:
     """Modulation transfer from a region that holds one slanted edge.
 
     The edge is found in every row, a line fitted through it, and all rows are put together along that line on a grid four times
@@ -62,6 +64,7 @@ def edge_response(picture: NDArray[Any], axis: Axis, pitch_mm: float, provenance
         axis: Along which the transfer is wanted: the edge runs roughly across it, slanted by 2 to 20 degrees.
         pitch_mm: Distance of the pixels along the axis.
         provenance: Where the picture comes from.
+        across_mm: Distance of the pixels along the other axis, where it is another one: the slant is an angle on the target.
 
     Raises:
         CalibrationError: No edge, one that is not slanted, a region too small, or values that are no numbers.
@@ -81,7 +84,8 @@ def edge_response(picture: NDArray[Any], axis: Axis, pitch_mm: float, provenance
             hint="turn the target by some 5 degrees",
         )
     spread = _edge_spread(rows, offset, slope)
-    frequency, mtf = _transfer(spread, math.cos(math.atan(slope)))
+    angle = math.atan(slope * pitch_mm / (across_mm or pitch_mm))
+    frequency, mtf = _transfer(spread, math.cos(angle))
     used = frequency <= 0.5
     frequency, mtf = frequency[used] / pitch_mm, mtf[used]
     return EdgeResponse(
@@ -90,7 +94,7 @@ def edge_response(picture: NDArray[Any], axis: Axis, pitch_mm: float, provenance
         mtf=mtf,
         mtf50_per_mm=_falls_to(0.5, frequency, mtf),
         mtf10_per_mm=_falls_to(0.1, frequency, mtf),
-        angle_deg=math.degrees(math.atan(slope)),
+        angle_deg=math.degrees(angle),
         pitch_mm=pitch_mm,
         provenance=provenance,
     )

@@ -194,7 +194,7 @@ def edge_from_cube(
     )
     there = float(picture.steps[line])
     here = plane.line_pitch_mm(there) * stride if axis == "line" else plane.x_mm(plane.principal_sample + 1, there)
-    return edge_response(part, axis, float(here), picture.provenance)
+    return edge_response(part, axis, float(here), picture.provenance, across_mm=across)
 
 
 def _around_edge(values: Floats, axis: int, rows: int) -> tuple[Floats, int]:
