@@ -138,7 +138,7 @@ def test_killed_at_any_call_the_cube_is_there_after_the_next_try(tmp_path):
     )
     calls = int(counting.stdout)
     assert calls > 60
-    moments = sorted({*np.linspace(1, calls - 20, 6, dtype=int).tolist(), *range(calls - 40, calls, 6)})
+    moments = sorted({*np.linspace(1, calls - 30, 3, dtype=int).tolist(), *range(calls - 28, calls, 9)})
     for moment in moments:
         path = prepared(tmp_path / str(moment))
         ended = subprocess.run([sys.executable, "-c", KILLED, str(path), str(moment)], capture_output=True, check=False)
