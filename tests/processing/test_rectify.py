@@ -7,6 +7,7 @@ import pytest
 from scanhsi import clock
 from scanhsi.calibration.geometry import Geometry
 from scanhsi.calibration.result import Provenance
+from scanhsi.cube.exchange import export_cube
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.reader import open_cube
 from scanhsi.cube.records import LineRecords
@@ -165,3 +166,14 @@ def test_a_masked_cube_is_rectified_alike(tmp_path):
     process(tmp_path / "raw.zarr", tmp_path / "masked.zarr", [MaskSaturated()])
     one, other = (rectified(open_cube(tmp_path / name, chunks=None), MODEL) for name in ("raw.zarr", "masked.zarr"))
     np.testing.assert_array_equal(one["cube"].values, other["cube"].values)
+
+
+def test_a_geotiff_is_where_the_grid_is(tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    write(tmp_path / "raw.zarr", MODEL)
+    grid = rectify(tmp_path / "raw.zarr", tmp_path / "flat.zarr", MODEL, pitch_mm=2.0)
+    export_cube(tmp_path / "flat.zarr", tmp_path / "flat.tif")
+    with rasterio.open(tmp_path / "flat.tif") as raster:
+        x, y = raster.xy(5, 7)  # middle of a pixel, in the file's units: metres or mm as the exporter has it
+        assert x / y == pytest.approx(grid.x_mm[7] / grid.y_mm[5], rel=1e-6)
+        assert raster.shape == (len(grid.y_mm), len(grid.x_mm))
