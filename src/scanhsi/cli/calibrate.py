@@ -357,6 +357,10 @@ def resolution(
     instrument: Instrument = None,
     cubes: From = None,
     axis: Annotated[Literal["line", "sample"], typer.Option(help="Along the scan, or along the slit.")] = "line",
+    bars: Annotated[
+        Path | None,
+        typer.Option(help="With --from a cube of a USAF target: CSV that says where its bars are.", dir_okay=False),
+    ] = None,
     plane: Plane = None,
     half: Annotated[float, typer.Option(help="How far the scan goes to both sides, mm.")] = 30.0,
     exposure: Exposure = None,
@@ -367,19 +371,25 @@ def resolution(
     yes: Yes = False,
     json: Json = False,
 ) -> None:
-    """Modulation transfer across a slanted edge (figure 11).
+    """Modulation transfer across a slanted edge; or contrast of the bars of a USAF target (figure 11).
 
     [bold]Example[/]: scanhsi calibrate resolution characterise --axis line --plane geometry.nc -o mtf-line.nc
     """
     known = _plane(plane)
     time = seconds_of(exposure, "--exposure")
 
+    if bars is not None and cubes is None:
+        raise typer.BadParameter("look at the cube first, to say where the bars are: use --from.", param_hint="--bars")
+
     async def take(calibrate: Calibrator) -> Result:
         return await calibrate.resolution(output, axis=axis, plane=known, half_mm=half, exposure_s=time)
 
     def work_out(found: list[str]) -> Result:
+        from scanhsi.characterise.bars_from_cube import bars_from_cube, load_bars
         from scanhsi.characterise.targets_from_cubes import edge_from_cube
 
+        if bars is not None:
+            return bars_from_cube(_only(found, "a cube of the target"), axis, load_bars(bars), plane=known)
         return edge_from_cube(_only(found, "a cube of the edge"), axis, plane=known)
 
     run_job(Job(instrument, output, cubes, take, work_out, settings, virtual, yes, figure, no_figure, json))
