@@ -47,7 +47,6 @@ R = TypeVar("R", bound=Result)
 
 _DARK_EXPOSURES: Final = 8
 _LONGEST_DARK_S: Final = 2.0
-_FLAT_EXPOSURES: Final = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +134,7 @@ class Calibrator:
 
         Args:
             output: File of the result.
-            exposures_s: Default: fourteen from the shortest to 1.25 times that which saturates the white tile.
+            exposures_s: Default: eighteen from the shortest to 1.2 times that which saturates the white tile.
 
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
@@ -358,8 +357,10 @@ class Calibrator:
     async def _up_to_saturation(self) -> list[float]:
         found = await auto_exposure(self.imager)
         allowed = self.imager.instrument.camera_info.exposure
-        longest = min(1.25 * found.exposure_s / found.level, allowed.maximum)
-        return _rounded(np.linspace(allowed.minimum, longest, _FLAT_EXPOSURES))
+        full_s = found.exposure_s / found.level
+        shares = np.concatenate([np.linspace(allowed.minimum / full_s, 0.85, 8), np.linspace(0.88, 1.2, 10)])
+        exposures = shares * full_s  # dense where it saturates: the full well is known as well as they are
+        return _rounded(exposures[(exposures >= allowed.minimum) & (exposures <= allowed.maximum)])
 
     async def _up_to_white(self) -> list[float]:
         found = await auto_exposure(self.imager)
