@@ -42,7 +42,8 @@ def test_photon_transfer_finds_the_sensor(tmp_path: Path) -> None:
     found = run_virtual(main())
     assert abs(found.gain / GAIN - 1) < 0.03
     assert abs(found.read_noise_e / READ_E - 1) < 0.06
-    assert abs(found.full_well_e / FULL_E - 1) < 0.06
+    # EMVA's saturation, the largest variance, comes before the mean pixel is full: noise, PRNU and light clip the brightest first.
+    assert 0.91 < found.full_well_e / FULL_E < 1.0
     assert abs(found.prnu / PRNU - 1) < 0.15
     assert found.linearity_error < 0.01
 
