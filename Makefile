@@ -36,7 +36,8 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
 test: $(VENV)/.dev system-test $(VENV)/.gi $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m "not soak and not twin" -n 2 --dist loadfile
+	$(BIN)/python -m pytest -m "twin and not soak"
 
 lint: $(VENV)/.dev $(VENV)/.gi  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .
