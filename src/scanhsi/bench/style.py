@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 
+from scanhsi.calibration.figures.style import PAGE_STYLE
 from scanhsi.devices.errors import CubeError
 
 STAGE_COLOURS: Final = {
@@ -36,26 +37,7 @@ FORMAT_TITLES: Final = {
 }
 IDEAL: Final[dict[str, Any]] = {"color": "0.35", "linestyle": ":", "linewidth": 1.2}
 
-_STYLE: Final[dict[str, Any]] = {
-    "font.size": 8,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.6,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "legend.frameon": False,
-    "legend.fontsize": 7.5,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 4,
-    "hatch.linewidth": 0.7,
-    "pdf.fonttype": 42,
-}
+_STYLE: Final[dict[str, Any]] = {**PAGE_STYLE, "hatch.linewidth": 0.7}
 _DPI: Final = 200
 
 

@@ -20,7 +20,7 @@ ORANGE: Final = "#D55E00"
 GREY: Final = "0.45"
 WIDTH_IN: Final = 7.3
 
-_STYLE: Final[dict[str, Any]] = {
+PAGE_STYLE: Final[dict[str, Any]] = {
     "font.size": 8,
     "axes.titlesize": 8.5,
     "axes.labelsize": 8,
@@ -50,7 +50,7 @@ def save_figure(draw: Callable[[], Figure], path: Path) -> Path:
     Raises:
         CalibrationError: It cannot be written, or not so.
     """
-    with mpl.rc_context(cast(Any, _STYLE)):  # its keys are typed as literals, from matplotlib 3.11 on
+    with mpl.rc_context(cast(Any, PAGE_STYLE)):  # its keys are typed as literals, from matplotlib 3.11 on
         try:
             draw().savefig(path, dpi=_DPI)
         except (OSError, ValueError) as error:
