@@ -4,6 +4,7 @@ import asyncio
 import os
 import resource
 import selectors
+import statistics
 import sys
 import threading
 import time
@@ -67,17 +68,18 @@ def test_sleep_until_sleeps_again_when_a_loop_wakes_it_early() -> None:
 def test_timers_are_not_rounded_up_to_ms() -> None:
     """Timers of 0.2 ms: with epoll's rounding none could end before 1 ms."""
 
-    async def least_s() -> float:
-        best = 1.0
+    async def naps_s() -> list[float]:
+        naps: list[float] = []
         for _ in range(100):
             start = time.perf_counter()
             await asyncio.sleep(0.2e-3)
-            best = min(best, time.perf_counter() - start)
-        return best
+            naps.append(time.perf_counter() - start)
+        return naps
 
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.EpollSelector())) as runner:
-        assert runner.run(least_s()) > 0.9e-3, "the comparison: stock epoll"
-    assert 0.2e-3 <= clock.run(least_s()) < 0.9e-3
+        # the median: a nap whose timer fell due before epoll was asked, on a busy computer, is not rounded
+        assert statistics.median(runner.run(naps_s())) > 0.9e-3, "the comparison: stock epoll"
+    assert 0.2e-3 <= min(clock.run(naps_s())) < 0.9e-3
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit is that of select elsewhere")
