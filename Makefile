@@ -57,7 +57,7 @@ soak: $(VENV)/.dev system-test $(VENV)/.gi  ## Slow soaks, not part of `make tes
 
 bench: $(VENV)/.dev  ## Benchmarks of the engine and the writer
 	$(BIN)/scanhsi bench engine
-	$(BIN)/python tests/benchmarks/bench_cube.py --lines 128
+	$(BIN)/scanhsi bench storage --parts "flat out" --lines 128 --repetitions 2 -o $(OUT)/bench
 
 bench-peers: $(PEERS)/.installed  ## The engine side by side with those of other projects, about 8 minutes
 	$(PEERS)/bin/python tests/benchmarks/peers/run.py

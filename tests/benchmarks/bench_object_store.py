@@ -26,8 +26,8 @@ import obstore
 from obstore.store import S3Store
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmarks.bench_cube import synthetic_lines
 from scanhsi import clock
+from scanhsi.bench.storage.work import synthetic_lines
 from scanhsi.cube.drain import drain
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.places import destination_of
@@ -67,7 +67,7 @@ def put_all(server: S3, objects: dict[str, bytes], prefix: str) -> float:
 
 
 def measure(server: S3, spec: CubeSpec, codec: str, rounds: int, folder: Path) -> None:
-    lines = synthetic_lines(spec.bands, spec.samples)
+    lines = synthetic_lines(spec.bands, spec.samples, 16)
     raw = spec.lines * lines[0].nbytes
     rates: dict[str, list[float]] = {}
 
