@@ -18,11 +18,11 @@ from scanhsi.devices.errors import (
     ProtocolError,
 )
 from scanhsi.devices.values import Range
+from scanhsi_serial import close_port, open_port
 from scanhsi_stepper.errors import boot_error, device_name, fail_error
 from scanhsi_stepper.link import Counters, StepperLink
 from scanhsi_stepper.motions import Finished, halt, read_status, run_motion
 from scanhsi_stepper.options import StepperOptions
-from scanhsi_stepper.port import close_port, open_port
 from scanhsi_stepper.protocol import SEQ_MAX, encode
 from scanhsi_stepper.ramp import Profile, move_time_s
 from scanhsi_stepper.sweeps import SweepPlan, plan_sweep
@@ -82,7 +82,7 @@ class StepperActuator:
             raise DeviceBusy("already connected.", device=self._name, operation="connect")
         await self._close_port()
         options = self._options
-        self._transport, link = await open_port(options.port, options.baud, self._new_link)
+        self._transport, link = await open_port(options.port, options.baud, self._new_link, self._name)
         link.attach(self._transport)
         self._link = link
         try:

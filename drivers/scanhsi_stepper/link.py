@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 
 from scanhsi.clock import now_ns
 from scanhsi.devices.errors import DeviceError, DeviceTimeout
-from scanhsi_stepper.errors import boot_error, device_name, lost_error, reply_error
+from scanhsi_serial import lost_error
+from scanhsi_stepper.errors import boot_error, device_name, reply_error
 from scanhsi_stepper.protocol import (
     BadLine,
     Boot,
@@ -128,7 +129,7 @@ class StepperLink(asyncio.Protocol):
         """Fail everybody who waits."""
         self._lost_cause = exc
         self.lost.set()
-        self._fail_all(lambda: lost_error(exc, self.port))
+        self._fail_all(lambda: lost_error(exc, device_name(self.port)))
 
     # --- requests -------------------------------------------------------------------------------------------------
 
@@ -195,7 +196,7 @@ class StepperLink(asyncio.Protocol):
         """One attempt: the answer, a NAK, or None after the reply timeout."""
         transport = self._transport
         if transport is None or transport.is_closing():  # a write would vanish in silence
-            raise lost_error(self._lost_cause, self.port)
+            raise lost_error(self._lost_cause, device_name(self.port))
         pending = _Pending(seq, asyncio.get_running_loop().create_future())
         self._pending = pending
         transport.write(line)

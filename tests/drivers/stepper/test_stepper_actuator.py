@@ -36,7 +36,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Controller]:
     ) -> Controller:
         peer = controller or Controller()
 
-        async def open_in_memory(port: str, baud: int, factory: Callable[[], Any]) -> Any:
+        async def open_in_memory(port: str, baud: int, factory: Callable[[], Any], device: str) -> Any:
             link = factory()
             return connect(peer, link), link
 

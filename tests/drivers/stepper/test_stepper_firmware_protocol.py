@@ -9,9 +9,9 @@ from stepper_peer import line
 from stepper_twin import FAST
 
 from scanhsi.clock import run
+from scanhsi_serial import close_port, open_port
 from scanhsi_sim.twins.stepper import StepperTwin, StepperTwinSettings
 from scanhsi_stepper.link import StepperLink
-from scanhsi_stepper.port import close_port, open_port
 from scanhsi_stepper.protocol import Boot, Err, Message, Nak, Ok, encode, parse
 
 pytestmark = pytest.mark.twin
@@ -46,7 +46,7 @@ def talk(scenario: Callable[[Wire, StepperTwin], Awaitable[None]]) -> None:
         async with StepperTwin(StepperTwinSettings(speed=FAST, start_step=0)) as twin:
             while (await twin.stats())["cycle"] < 200_000:  # its BOOT line is out, and lost: nobody had the port open
                 await asyncio.sleep(0.001)
-            transport, wire = await open_port(twin.port, 115_200, lambda: Wire(twin.port))
+            transport, wire = await open_port(twin.port, 115_200, lambda: Wire(twin.port), "wire")
             wire.attach(transport)
             try:
                 await scenario(wire, twin)

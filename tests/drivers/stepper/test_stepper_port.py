@@ -21,21 +21,23 @@ from scanhsi.devices.errors import (
     PositionLost,
     ProtocolError,
 )
-from scanhsi_stepper.errors import boot_error, fail_error, lost_error, open_error, reply_error
+from scanhsi_serial import close_port, lost_error, open_error, open_port
+from scanhsi_stepper.errors import boot_error, fail_error, reply_error
 from scanhsi_stepper.link import StepperLink
-from scanhsi_stepper.port import close_port, open_port
+
+DEVICE = "actuator stepper P"
 
 
 @pytest.mark.parametrize(
     ("error", "kind", "text"),
     [
-        (open_error(serial.SerialException(errno.ENOENT, "no"), "P"), DeviceNotFound, "no such port"),
-        (open_error(serial.SerialException(errno.EACCES, "no"), "P"), DeviceUnavailable, "dialout"),
-        (open_error(serial.SerialException(errno.EAGAIN, "no"), "P"), DeviceBusy, "in use"),
-        (open_error(OSError(errno.EBUSY, "no"), "P"), DeviceBusy, "in use"),
-        (open_error(ValueError("not a port"), "P"), DeviceNotFound, "not a port"),
-        (lost_error(OSError(errno.EIO, "eio"), "P"), DeviceLost, "eio"),
-        (lost_error(None, "P"), DeviceLost, "gone"),
+        (open_error(serial.SerialException(errno.ENOENT, "no"), "P", DEVICE), DeviceNotFound, "no such port"),
+        (open_error(serial.SerialException(errno.EACCES, "no"), "P", DEVICE), DeviceUnavailable, "dialout"),
+        (open_error(serial.SerialException(errno.EAGAIN, "no"), "P", DEVICE), DeviceBusy, "in use"),
+        (open_error(OSError(errno.EBUSY, "no"), "P", DEVICE), DeviceBusy, "in use"),
+        (open_error(ValueError("not a port"), "P", DEVICE), DeviceNotFound, "not a port"),
+        (lost_error(OSError(errno.EIO, "eio"), DEVICE), DeviceLost, "eio"),
+        (lost_error(None, DEVICE), DeviceLost, "gone"),
         (boot_error("P"), PositionLost, "home the mirror"),
         (reply_error(1, "P", "K"), ProtocolError, "flash the firmware"),
         (reply_error(2, "P", "V x"), OutOfRange, "refuses the value"),
@@ -50,12 +52,12 @@ from scanhsi_stepper.port import close_port, open_port
 def test_every_situation_has_its_error(error: DeviceError, kind: type[DeviceError], text: str) -> None:
     assert type(error) is kind
     assert text in str(error)
-    assert error.device == "actuator stepper P"
+    assert error.device == DEVICE
 
 
 def opens(port: Path | str) -> None:
     async def main() -> None:
-        transport, link = await open_port(str(port), 115_200, lambda: StepperLink(str(port)))
+        transport, link = await open_port(str(port), 115_200, lambda: StepperLink(str(port)), DEVICE)
         await close_port(transport, link.lost, 1.0)
 
     run(main())
@@ -77,13 +79,13 @@ def test_a_port_is_open_for_one_process_alone() -> None:
     name = os.ttyname(slave)
 
     async def main() -> None:
-        transport, link = await open_port(name, 115_200, lambda: StepperLink(name))
+        transport, link = await open_port(name, 115_200, lambda: StepperLink(name), DEVICE)
         with pytest.raises(DeviceBusy, match="in use by another program"):
-            await open_port(name, 115_200, lambda: StepperLink(name))
+            await open_port(name, 115_200, lambda: StepperLink(name), DEVICE)
         assert not transport.is_closing()
         await close_port(transport, link.lost, 1.0)
         await asyncio.sleep(0)
-        opened_again, link = await open_port(name, 115_200, lambda: StepperLink(name))
+        opened_again, link = await open_port(name, 115_200, lambda: StepperLink(name), DEVICE)
         await close_port(opened_again, link.lost, 1.0)
 
     try:
@@ -98,7 +100,7 @@ def test_closing_does_not_wait_for_a_peer_that_does_not_read() -> None:
     name = os.ttyname(slave)
 
     async def main() -> None:
-        transport, link = await open_port(name, 115_200, lambda: StepperLink(name))
+        transport, link = await open_port(name, 115_200, lambda: StepperLink(name), DEVICE)
         transport.write(b"x" * 1_000_000)
         await asyncio.sleep(0.05)
         async with asyncio.timeout(20):
@@ -117,7 +119,7 @@ def test_unplugging_is_noticed() -> None:
     name = os.ttyname(slave)
 
     async def main() -> None:
-        _, link = await open_port(name, 115_200, lambda: StepperLink(name))
+        _, link = await open_port(name, 115_200, lambda: StepperLink(name), DEVICE)
         await asyncio.sleep(0.01)
         os.close(slave)
         os.close(master)
@@ -134,7 +136,7 @@ def test_boot_garbage_through_a_real_port_does_not_raise() -> None:
 
     async def main() -> None:
         asyncio.get_running_loop().set_exception_handler(lambda _, context: problems.append(context))
-        transport, link = await open_port(name, 115_200, lambda: StepperLink(name))
+        transport, link = await open_port(name, 115_200, lambda: StepperLink(name), DEVICE)
         os.write(master, b"\xfd\xff\x00!0 BO\xfd\n<\n\n<1 OK*0000\n")
         async with asyncio.timeout(20):
             while link.counters.bad_lines + link.counters.noise < 4:

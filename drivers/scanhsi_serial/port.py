@@ -15,15 +15,15 @@ import serial
 import serial_asyncio  # pyright: ignore[reportMissingTypeStubs]
 
 from scanhsi.devices.errors import DeviceTimeout
-from scanhsi_stepper.errors import device_name, open_error
+from scanhsi_serial.errors import open_error
 
 P = TypeVar("P", bound=asyncio.Protocol)
 
 _OPEN_S = 5.0
 
 
-async def open_port(port: str, baud: int, factory: Callable[[], P]) -> tuple[asyncio.Transport, P]:
-    """Open `port` for this process alone and connect a protocol to it.
+async def open_port(port: str, baud: int, factory: Callable[[], P], device: str) -> tuple[asyncio.Transport, P]:
+    """Open `port` for this process alone and connect a protocol to it; messages call it `device`.
 
     ``connection_made`` of the protocol runs *after* this returns: it must be usable from its construction on.
 
@@ -31,12 +31,12 @@ async def open_port(port: str, baud: int, factory: Callable[[], P]) -> tuple[asy
         DeviceNotFound, DeviceBusy, DeviceUnavailable: See `open_error`.
         DeviceTimeout: The operating system does not open it.
     """
-    device = await _open_in_thread(port, baud)
+    opened = await _open_in_thread(port, baud, device)
     loop = asyncio.get_running_loop()
-    return cast("tuple[asyncio.Transport, P]", await serial_asyncio.connection_for_serial(loop, factory, device))
+    return cast("tuple[asyncio.Transport, P]", await serial_asyncio.connection_for_serial(loop, factory, opened))
 
 
-async def _open_in_thread(port: str, baud: int) -> Any:
+async def _open_in_thread(port: str, baud: int, device: str) -> Any:
     job = asyncio.get_running_loop().run_in_executor(None, _open, port, baud)
     try:
         async with asyncio.timeout(_OPEN_S):
@@ -46,9 +46,9 @@ async def _open_in_thread(port: str, baud: int) -> Any:
             _close_late
         )  # the thread goes on: a port that it still opens must not stay open, and locked
         if isinstance(error, TimeoutError):
-            raise DeviceTimeout("the port does not open.", device=device_name(port), waited_s=_OPEN_S) from None
+            raise DeviceTimeout("the port does not open.", device=device, waited_s=_OPEN_S) from None
         if isinstance(error, serial.SerialException | OSError | ValueError):
-            raise open_error(error, port) from error
+            raise open_error(error, port, device) from error
         raise
 
 
