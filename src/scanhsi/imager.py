@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import platform
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +24,8 @@ from scanhsi.cube import Binning, CubeSpec, CubeWriter, DiscardSink, LineSink
 from scanhsi.cube.destination import Destination
 from scanhsi.cube.places import destination_of
 from scanhsi.cube.slow import SlowSink
-from scanhsi.devices import Actuator, Camera, CameraSettings
+from scanhsi.cube.watched import Watch, WatchedSink
+from scanhsi.devices import Actuator, Camera, CameraSettings, PixelFormat
 from scanhsi.devices.errors import ConfigError, DeviceBusy
 from scanhsi.engine import Course, Mode, Progress, ScanPlan, ScanReport, run_scan
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
@@ -32,6 +33,8 @@ from scanhsi.instrument.problems import problems_of
 from scanhsi.instrument.timing import storing_of
 
 _NO_OPTIONS = RealTime()
+_LIVE_LINES = 4096
+"""Frames of one acquisition of a live view; then the next one begins."""
 
 
 def default_plan(config: InstrumentConfig, **overrides: Any) -> ScanPlan:
@@ -150,6 +153,7 @@ class Imager:
         real_time: RealTime = _NO_OPTIONS,
         target: str | None = None,
         spool: str | Path | None = None,
+        watch: Watch | None = None,
     ) -> ScanReport:
         """Scan.
 
@@ -164,31 +168,72 @@ class Imager:
             spool: For URLs: local folder that what is written waits in until the server has it. A line is stored once it is there,
                 and goes on its way in the background, also when the scan is over: `scanhsi.drain` waits for that, or sends later
                 what a process that ended left.
+            watch: Shown each line on its way to storage, also where lines are discarded; see `scanhsi.cube.watched`.
 
         Raises:
             OutOfRange, UnsupportedFeature, CubeExists: Refused; nothing moved, nothing was overwritten.
             DeviceBusy: A scan of this instrument is under way.
             ScanFailed: It began and did not end well; what was stored is safe and opens as a shorter cube.
         """
-        if self._scanning:
-            raise DeviceBusy("a scan is under way.", device=self.config.name, operation="scan")
-        course = self.course(plan)
-        limits = self.instrument.actuator_info.limits
-        self._scanning = True
-        try:
+        with self._one_scan():
+            course = self.course(plan)
+            limits = self.instrument.actuator_info.limits
             with clock.real_time(real_time) as granted:
                 place = None if output is None else destination_of(output, spool=spool)
                 sink = DiscardSink() if place is None else self._writer(course, plan, place, granted, target)
+                sink = self._slowed(sink, plan)
                 report = await run_scan(
                     course,
                     self.camera,
                     self.actuator,
-                    self._slowed(sink, plan),
+                    sink if watch is None else _watched(sink, watch, course),
                     limits=limits,
                     on_progress=on_progress,
                     stop=stop,
                 )
                 return replace(report, real_time=granted)
+
+    async def live(
+        self,
+        watch: Watch,
+        *,
+        exposure_s: float | None = None,
+        gain_db: float | None = None,
+        pixel_format: PixelFormat | None = None,
+        step: int | None = None,
+        period_s: float = 1 / 15,
+    ) -> None:
+        """Show what is before the instrument, with the mirror at rest, until cancelled; nothing is stored.
+
+        Args:
+            watch: Shown each frame; see `scanhsi.cube.watched`.
+            exposure_s: Of a frame; the instrument file's by default, as the next two.
+            gain_db: Of the camera.
+            pixel_format: On the link.
+            step: Where the mirror looks; where it stands by default, straight ahead before it was homed.
+            period_s: Least time from frame to frame.
+
+        Raises:
+            OutOfRange, DeviceBusy, ScanFailed: As `scan`.
+        """
+        if step is None:
+            step = self.actuator.position if self.actuator.homed else self.config.geometry.normal_step
+        given = {"exposure_s": exposure_s, "gain_db": gain_db, "pixel_format": pixel_format}
+        chosen = {name: value for name, value in given.items() if value is not None}
+        plan = self.default_plan(mode="stepped", look_ahead=None, lines=_LIVE_LINES, step=0, start=step, **chosen)
+        course = self.course(plan)
+        while True:
+            with self._one_scan():
+                sink = _watched(DiscardSink(capacity=1), watch, course, period_s)  # one buffer: no frame is shown late
+                await run_scan(course, self.camera, self.actuator, sink, limits=self.instrument.actuator_info.limits)
+
+    @contextmanager
+    def _one_scan(self) -> Generator[None]:
+        if self._scanning:
+            raise DeviceBusy("a scan is under way.", device=self.config.name, operation="scan")
+        self._scanning = True
+        try:
+            yield
         finally:
             self._scanning = False
 
@@ -237,3 +282,9 @@ class Imager:
         except ValueError as error:
             raise ConfigError("the cube cannot be stored as asked:", [str(error)]) from error
         return writer
+
+
+def _watched(sink: LineSink, watch: Watch, course: Course, period_s: float = 0.0) -> WatchedSink:
+    settings = course.settings
+    assert settings.roi is not None, "Instrument.check fills the ROI in"
+    return WatchedSink(sink, watch, settings.roi.shape, settings.pixel_format, period_s)
