@@ -30,12 +30,40 @@ def test_the_truth_is_recovered():
     assert result.gain == pytest.approx(GAIN, rel=0.01)
     assert abs(result.gain - GAIN) < 4 * result.gain_sigma
     assert result.read_noise_e == pytest.approx(READ_E, rel=0.02)
-    assert 0.9 * FULL_E < result.full_well_e <= FULL_E  # the last exposure before pixels clip; they are 5 % apart
+    assert 0.9 * FULL_E < result.saturation_e <= FULL_E  # the last exposure before pixels clip; they are 5 % apart
+    assert result.full_well_e == pytest.approx(FULL_E, rel=0.005)
     assert result.prnu == pytest.approx(PRNU, rel=0.1)
     assert result.dsnu_e == pytest.approx(DSNU_E, rel=0.1)
     assert result.snr_max_db == pytest.approx(10 * math.log10(FULL_E), abs=0.5)
     assert result.dynamic_range_db == pytest.approx(20 * math.log10(FULL_E / (READ_E + 0.5)), abs=1.0)
     assert result.linearity_error < 0.005
+
+
+def test_the_full_well_is_not_known_where_the_signal_still_grows():
+    result = photon_transfer(list(pairs(np.random.default_rng(5), 24, top=1.0)), Provenance())
+    assert math.isnan(result.full_well_e)
+    assert result.saturation_e > 0.9 * FULL_E
+
+
+def test_gain_and_noise_are_taken_from_more_pixels_than_those_lit_evenly():
+    some = np.zeros(SHAPE, bool)
+    some[:5, :40] = True
+    few = photon_transfer(list(pairs(np.random.default_rng(6), 24)), Provenance(), mask=some)
+    many = photon_transfer(list(pairs(np.random.default_rng(6), 24)), Provenance(), mask=some, lit=np.ones(SHAPE, bool))
+    assert many.gain_sigma < few.gain_sigma / 10
+    assert many.gain == pytest.approx(GAIN, rel=0.005)
+    assert many.read_noise_e == pytest.approx(READ_E, rel=0.005)
+
+
+def test_dark_current_is_no_read_noise():
+    rng = np.random.default_rng(7)
+
+    def longer(pair: FlatPair) -> FlatPair:
+        current = GAIN * rng.poisson(400 * pair.exposure_s, (2, 2, *SHAPE))
+        return FlatPair(pair.exposure_s, pair.flat + np.rint(current[0]), pair.dark + np.rint(current[1]))
+
+    result = photon_transfer([longer(pair) for pair in pairs(rng, 24)], Provenance())
+    assert result.read_noise_e == pytest.approx(READ_E, rel=0.04)
 
 
 def test_a_bent_response_shows():

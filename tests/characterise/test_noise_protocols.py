@@ -24,7 +24,7 @@ SMALL = {
     "camera.scene": "white",
     "scan.exposure": "20 ms",
 }
-READ_E, FULL_E, PRNU = 13.0, 13_500.0, 0.01
+READ_E, FULL_E, OFFSET_E, PRNU = 13.0, 13_500.0, 100.0, 0.01
 GAIN = 4095 / FULL_E
 
 
@@ -40,10 +40,11 @@ def test_photon_transfer_finds_the_sensor(tmp_path: Path) -> None:
             return await hsi.calibrate.photon_transfer(tmp_path / "ptc.nc")
 
     found = run_virtual(main())
-    assert abs(found.gain / GAIN - 1) < 0.03
-    assert abs(found.read_noise_e / READ_E - 1) < 0.06
+    assert abs(found.gain / GAIN - 1) < 0.02
+    assert abs(found.read_noise_e / READ_E - 1) < 0.02
     # EMVA's saturation, the largest variance, comes before the mean pixel is full: noise, PRNU and light clip the brightest first.
-    assert 0.91 < found.full_well_e / FULL_E < 1.0
+    assert 0.91 < found.saturation_e / FULL_E < 1.0
+    assert abs(found.full_well_e / (FULL_E - OFFSET_E) - 1) < 0.02  # the converter's full scale, above the offset
     assert abs(found.prnu / PRNU - 1) < 0.15
     assert found.linearity_error < 0.01
 

@@ -26,6 +26,12 @@ _PIXEL = ("band", "sample")
 _QUANTISATION = 1 / 12
 """Variance of rounding to whole counts, counts^2: a camera without noise has at least this."""
 
+_SHOULDER = 0.95
+"""Quantile that tells how wide the dark currents scatter: some percent of hot pixels do not move it much."""
+
+_MOST_SKEW = 20.0
+"""Ratio of the quantiles' distances from the median: a log-normal spread of 1.8 has this, no sensor has more."""
+
 _NOISIER = 1e-5
 """So unlikely must the variance of a pixel's frames be under the law of all pixels before its own is believed."""
 
@@ -40,7 +46,7 @@ class DarkModel:
         rate_sigma, offset_sigma: Standard errors.
         covariance: Of rate and offset.
         noise: Temporal noise at the shortest exposure, (band, sample).
-        hot: Pixels whose dark current stands out, (band, sample) bool.
+        hot: Pixels whose dark current, or dark counts at the longest exposure, stand out, (band, sample) bool.
         nonlinear: Pixels that are no line over the exposure, (band, sample) bool.
         shortest_s, longest_s: Exposures measured; the model says nothing beyond the longest.
         frames: Frames used in all.
@@ -136,8 +142,9 @@ class DarkFit:
 
         Args:
             provenance: Where the frames come from.
-            hot_sigma: Pixels whose dark current lies so many robust standard deviations above the median are hot, and those
-                that saturated.
+            hot_sigma: A pixel is hot when its dark current, or its counts at the longest exposure, lie as far above the median as
+                so many standard deviations of a normal distribution would, the skew of the distribution accounted for; or when it
+                saturated.
             linear_sigma: A pixel is nonlinear when the chi-square of its residuals is that unlikely, in standard deviations of a
                 normal distribution.
 
@@ -195,7 +202,7 @@ def _fit(
         offset_sigma=np.sqrt(second / determinant),
         covariance=-moment / determinant,
         noise=np.sqrt(variances[0]),
-        hot=_stands_out(rate, hot_sigma) | saturated,
+        hot=_stands_out(rate, hot_sigma) | _stands_out(means[-1], hot_sigma) | saturated,
         nonlinear=_unlikely(residuals, len(exposures) - 2, linear_sigma),
         shortest_s=float(exposures[0]),
         longest_s=float(exposures[-1]),
@@ -232,6 +239,16 @@ def _unlikely(chi_square: Floats, degrees: int, sigma: float) -> NDArray[np.bool
 
 
 def _stands_out(values: Floats, sigma: float) -> NDArray[np.bool_]:
-    median = np.median(values)
-    spread = 1.4826 * np.median(np.abs(values - median))
-    return values > median + sigma * spread
+    """Values far above the others, whose distribution may be skewed.
+
+    Dark currents scatter more like a log-normal distribution than like a normal one, with the noise of the measurement on top: what
+    is beyond six sigma for one is common for the other. So a shifted log-normal, of which the normal is the limit, goes through
+    three quantiles of the values: ``x(z) = median + above (r^(z / z95) - 1) / (r - 1)`` with the ratio r of the distances from the
+    median to the quantiles at z95 above and below it.
+    """
+    low, median, high = np.quantile(values, (1 - _SHOULDER, 0.5, _SHOULDER)).tolist()
+    above, below = high - median, median - low
+    steps = sigma / float(stats.norm.ppf(_SHOULDER))
+    skew = min(above / below, _MOST_SKEW) if below > 0 else 1.0
+    limit = steps * above if skew < 1.001 else above * (skew**steps - 1) / (skew - 1)
+    return values > median + max(limit, 0.0)

@@ -1,6 +1,6 @@
 """Stability of the light: how a lamp settles, drifts and flickers (figure 12, right).
 
-A lamp that was switched on approaches its level exponentially; afterwards it drifts slowly and flickers. The fit tells when a
+A lamp that was switched on approaches its level exponentially, drifts slowly and flickers. The fit tells when a
 measurement may begin, the Allan deviation over which time averaging still helps.
 """
 
@@ -30,7 +30,7 @@ class LightStability:
         level: It settles at this, in the unit of what was given.
         overshoot: Relative deviation from the level when the lamp was switched on; positive where it starts brighter.
         settling_s, settling_sigma_s: Time constant, with its standard error; nan where nothing settles.
-        drift_per_min: Relative drift a minute over the last half, after settling.
+        drift_per_min: Relative drift a minute, beside the settling; of a lamp that does not settle, over all snapshots.
         stable_after_s: From then on the fit stays within 1 % of the level.
         residual: Relative standard deviation around fit and drift: flicker and noise.
         averaging_s: Averaging times, (averaging,).
@@ -68,20 +68,17 @@ def light_stability(time_s: Floats, level: Floats, provenance: Provenance) -> Li
     """
     time_s, level = np.asarray(time_s, np.float64), np.asarray(level, np.float64)
     _check(time_s, level)
-    (settled, overshoot, settling, sigma), fitted = _settle(time_s, level)
-    half = time_s >= time_s[0] + (time_s[-1] - time_s[0]) / 2
-    remaining = level[half] - fitted[half]
-    drift = float(np.polynomial.polynomial.polyfit(time_s[half], remaining, 1)[1]) * 60 / settled
-    averaging, allan = allan_deviation(level / fitted, float(np.median(np.diff(time_s))))
+    (settled, overshoot, settling, drift, sigma), fitted = _settle(time_s, level)
+    averaging, allan = allan_deviation(level / (fitted - settled * drift * time_s), float(np.median(np.diff(time_s))))
     stable = settling * math.log(max(abs(overshoot) / 0.01, 1.0)) if math.isfinite(settling) else float(time_s[0])
     return LightStability(
         level=settled,
         overshoot=overshoot,
         settling_s=settling,
         settling_sigma_s=sigma,
-        drift_per_min=drift,
+        drift_per_min=60 * drift,
         stable_after_s=stable,
-        residual=float(np.std(level / fitted - 1, ddof=3)),
+        residual=float(np.std(level / fitted - 1, ddof=4 if math.isfinite(settling) else 2)),
         averaging_s=averaging,
         allan=allan,
         time_s=time_s,
@@ -103,34 +100,40 @@ def _check(time_s: Floats, level: Floats) -> None:
         raise CalibrationError("there is no light in the snapshots.")
 
 
-def _settle(time_s: Floats, level: Floats) -> tuple[tuple[float, float, float, float], Floats]:
-    """Level, relative overshoot, time constant and its error, and the curve; a constant where nothing settles.
+def _settle(time_s: Floats, level: Floats) -> tuple[tuple[float, float, float, float, float], Floats]:
+    """Level, relative overshoot, time constant, relative drift a second, error of the time constant, and the curve.
 
-    An exponential is believed only where it explains the snapshots better than a constant by the Bayesian criterion.
+    The level is that at the beginning, drift and overshoot aside. An exponential beside the drift is believed only where it
+    explains the snapshots better than the drift alone by the Bayesian criterion.
     """
-    constant = float(level.mean())
+    begin, rise = cast("list[float]", np.polynomial.polynomial.polyfit(time_s, level, 1).tolist())
+    straight = begin + rise * time_s
+    flat = (begin, 0.0, math.nan, rise / begin, math.nan), straight
     span = float(time_s[-1] - time_s[0])
-    start = (float(level[-3:].mean()), float(level[0] / level[-3:].mean() - 1), span / 5)
-    flat = (constant, 0.0, math.nan, math.nan), np.full_like(level, constant)
+    last = float(level[-3:].mean())
+    start = (last, float(level[0]) / last - 1, span / 5, 0.0)
     shortest = float(np.diff(time_s).min()) / 5
     try:
-        limits = ([0, -np.inf, shortest], [np.inf, np.inf, 10 * span])
+        limits = ([0, -np.inf, shortest, -np.inf], [np.inf, np.inf, 10 * span, np.inf])
+        scale = (last, 1.0, span, 1 / span)
         fit = cast(
-            "tuple[Floats, Floats]", optimize.curve_fit(_curve, time_s, level, start, bounds=limits, max_nfev=2000)
+            "tuple[Floats, Floats]",
+            optimize.curve_fit(_curve, time_s, level, start, bounds=limits, x_scale=scale, max_nfev=2000),
         )
     except RuntimeError:
         return flat
-    best = fit[0].tolist()
+    best = cast("tuple[float, float, float, float]", tuple(fit[0].tolist()))
     fitted = _curve(time_s, *best)
     n = len(level)
-    gained = n * math.log(max(np.var(level), 1e-300) / max(np.mean((level - fitted) ** 2), 1e-300))
+    left, unexplained = float(np.mean((level - fitted) ** 2)), float(np.mean((level - straight) ** 2))
+    gained = n * math.log(max(unexplained, 1e-300) / max(left, 1e-300))
     if gained < 2 * math.log(n) + 6:
         return flat
-    return (best[0], best[1], best[2], math.sqrt(max(float(fit[1][2, 2]), 0.0))), fitted
+    return (*best, math.sqrt(max(float(fit[1][2, 2]), 0.0))), fitted
 
 
-def _curve(time_s: Floats, level: float, overshoot: float, settling_s: float) -> Floats:
-    return level * (1 + overshoot * np.exp(-time_s / settling_s))
+def _curve(time_s: Floats, level: float, overshoot: float, settling_s: float, drift: float) -> Floats:
+    return level * (1 + overshoot * np.exp(-time_s / settling_s) + drift * time_s)
 
 
 def allan_deviation(ratio: Floats, interval_s: float) -> tuple[Floats, Floats]:

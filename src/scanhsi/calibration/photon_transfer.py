@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ Floats = NDArray[np.float64]
 
 _QUANTISATION: Final = 1 / 12
 _GAIN_RANGE: Final = 0.7
+_FLAT: Final = 0.1  # of the growth that the exposure would give: the signal grows no more
 _LINEAR_RANGE: Final = (0.05, 0.95)
 _EXPOSURE = ("exposure",)
 
@@ -47,10 +48,14 @@ class PhotonTransfer:
 
     Attributes:
         gain, gain_sigma: Counts per electron, with its standard error.
-        read_noise_e: Temporal noise in the dark at the shortest exposure, electrons, without that of rounding.
-        full_well_e: Electrons at saturation: where the variance of the flats is largest.
+        read_noise_e: Temporal noise in the dark at no exposure, electrons, without that of rounding.
+        saturation_e: Electrons at saturation as EMVA 1288 has it: where the variance of the flats is largest. Noise, PRNU and
+            uneven light clip the brightest pixels before the mean one is full, and exposures are some percent apart: 2 to 9 %
+            below the full well.
+        full_well_e: Electrons at which the signal stops growing, because pixels are full or the converter is at its full scale;
+            nan where the longest exposure does not reach that.
         snr_max_db: Signal to noise at saturation.
-        dynamic_range_db: Full well over the smallest signal that can be told from noise (signal to noise of 1).
+        dynamic_range_db: Saturation over the smallest signal that can be told from noise (signal to noise of 1).
         dsnu_e: Spatial standard deviation of the dark frames, temporal noise removed, electrons.
         prnu: Spatial standard deviation of the response at half saturation, relative.
         linearity_error: Mean deviation from the line through the dark-corrected means, 5 to 95 % of saturation, relative.
@@ -66,7 +71,8 @@ class PhotonTransfer:
     gain: Annotated[float, Stored("counts electron-1", "system gain K")]
     gain_sigma: Annotated[float, Stored("counts electron-1", "standard error of the gain")]
     read_noise_e: Annotated[float, Stored("electron", "temporal dark noise")]
-    full_well_e: Annotated[float, Stored("electron", "saturation capacity")]
+    saturation_e: Annotated[float, Stored("electron", "saturation capacity, at the largest variance")]
+    full_well_e: Annotated[float, Stored("electron", "where the signal stops growing")]
     snr_max_db: Annotated[float, Stored("dB", "signal to noise at saturation")]
     dynamic_range_db: Annotated[float, Stored("dB", "dynamic range")]
     dsnu_e: Annotated[float, Stored("electron", "dark signal non-uniformity")]
@@ -85,6 +91,7 @@ def photon_transfer(
     *,
     mask: NDArray[np.bool_] | None = None,
     light: Floats | None = None,
+    lit: NDArray[np.bool_] | None = None,
 ) -> PhotonTransfer:
     """Work out the photon transfer of a region that is evenly lit.
 
@@ -94,6 +101,8 @@ def photon_transfer(
         mask: (band, sample), pixels to use; all by default. A spectrograph's frame is never evenly lit: take a region of it.
         light: (band, sample), the light on the pixels, smooth, in any unit: what of it varies over the region does not count as
             non-uniformity of the response.
+        lit: (band, sample), more pixels, lit no brighter, from which gain, read noise and DSNU are taken, which need many pixels
+            and no even light; those of the mask by default.
 
     Raises:
         CalibrationError: Too few exposures, no saturation reached, frames that do not go together, or no light.
@@ -102,8 +111,10 @@ def photon_transfer(
     region = _region(pairs, mask)
     signal, variance = (np.array(values) for values in zip(*(_moments(pair, region) for pair in pairs), strict=True))
     top = _saturation(signal, variance)
-    gain, gain_sigma = _gain(signal[: top + 1], variance[: top + 1], int(region.sum()))
-    dark_variance = _difference_variance(pairs[0].dark, region)
+    below = [pair for pair, level in zip(pairs[:top], signal, strict=False) if level <= _GAIN_RANGE * signal[top]]
+    wide = region if lit is None else region | lit
+    gain, gain_sigma = _gain([_moments(pair, wide) for pair in below], int(wide.sum()))
+    dark_variance = _read_variance(pairs, wide)
     read_e = math.sqrt(max(dark_variance - _QUANTISATION, 0.0)) / gain
     full_e = float(signal[top]) / gain
     smallest_e = math.sqrt(dark_variance) / gain + 0.5  # EMVA 1288: where the signal to noise ratio is 1
@@ -111,10 +122,11 @@ def photon_transfer(
         gain=gain,
         gain_sigma=gain_sigma,
         read_noise_e=read_e,
-        full_well_e=full_e,
+        saturation_e=full_e,
+        full_well_e=_full_counts(pairs, signal, region) / gain,
         snr_max_db=10 * math.log10(full_e),
         dynamic_range_db=20 * math.log10(full_e / smallest_e),
-        dsnu_e=_spatial(pairs[0].dark, region) / gain,
+        dsnu_e=_spatial(pairs[0].dark, wide) / gain,
         prnu=_prnu(pairs, signal, top, region, np.ones(region.shape) if light is None else light),
         linearity_error=_linearity_error(np.array([pair.exposure_s for pair in pairs]), signal, top),
         exposure_s=np.array([pair.exposure_s for pair in pairs]),
@@ -171,10 +183,28 @@ def _saturation(signal: Floats, variance: Floats) -> int:
     return top
 
 
-def _gain(signal: Floats, variance: Floats, pixels: int) -> tuple[float, float]:
-    """Slope of the variance over the signal up to 70 % of saturation, through the origin, and its standard error."""
-    low = signal <= _GAIN_RANGE * signal[-1]
-    x, y = signal[low], variance[low]
+def _full_counts(pairs: Sequence[FlatPair], signal: Floats, region: NDArray[np.bool_]) -> float:
+    """Counts above those of no exposure at which the signal has stopped to grow with the exposure; nan where it has not."""
+    longer = pairs[-1].exposure_s / pairs[-2].exposure_s - 1
+    if not signal[-1] / signal[-2] - 1 < _FLAT * longer:
+        return math.nan
+    flat, black = (frames[:, region].mean(dtype=np.float64) for frames in (pairs[-1].flat, pairs[0].dark))
+    return float(flat - black)
+
+
+def _read_variance(pairs: Sequence[FlatPair], region: NDArray[np.bool_]) -> float:
+    """Temporal variance of the dark at no exposure, counts^2: that of dark current, which grows with the exposure, taken off."""
+    time = np.array([pair.exposure_s for pair in pairs])
+    variance = np.array([_difference_variance(pair.dark, region) for pair in pairs])
+    level, slope = cast("list[float]", np.polynomial.polynomial.polyfit(time - time.mean(), variance, 1).tolist())
+    return max(level - max(slope, 0.0) * float(time.mean()), 0.0)
+
+
+def _gain(moments: Sequence[tuple[float, float]], pixels: int) -> tuple[float, float]:
+    """Slope of the variance over the signal, through the origin, and its standard error."""
+    if not moments:
+        raise CalibrationError("no exposure lies below 70 % of saturation.", hint="shorter exposures too")
+    x, y = np.array(moments).T
     weight = 1 / np.maximum(y, y.max() * 1e-3) ** 2  # a variance of n pixels is known to sqrt(2 / n) of itself
     gain = float(np.sum(weight * x * y) / np.sum(weight * x * x))
     if not gain > 0:

@@ -34,6 +34,7 @@ _SMOOTH: Final = (7, 31)
 
 _EVEN: Final = (0.97, 0.94, 0.9, 0.8, 0.7)
 _ENOUGH: Final = 2000
+_LIT: Final = 0.4  # of the brightest light: enough to see shot noise
 
 
 def photon_transfer_from_cubes(cubes: Sequence[Path_]) -> PhotonTransfer:
@@ -54,9 +55,10 @@ def photon_transfer_from_cubes(cubes: Sequence[Path_]) -> PhotonTransfer:
     pairs = [FlatPair(exposure, flat[exposure], dark[exposure]) for exposure in sorted(flat)]
     if not pairs:
         raise CalibrationError("there are no flat cubes.")
-    light = _light(pairs)
-    region = _best_lit(light, _alike(pairs))
-    return photon_transfer(pairs, provenance_of(opened(cubes), cubes), mask=region, light=light)
+    light, good = _light(pairs), _alike(pairs)
+    region = _best_lit(light, good)
+    lit = good & (light >= _LIT * light.max())
+    return photon_transfer(pairs, provenance_of(opened(cubes), cubes), mask=region, light=light, lit=lit)
 
 
 def _named(cubes: Sequence[Path_]) -> list[tuple[xr.Dataset, str]]:

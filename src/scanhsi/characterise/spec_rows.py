@@ -144,7 +144,8 @@ def _(result: PhotonTransfer, make: Make) -> list[Row]:
     return [
         make("system gain", "System gain", result.gain, "counts/e", result.gain_sigma),
         make("read noise", "Read noise", result.read_noise_e, "e"),
-        make("full well", "Saturation capacity", result.full_well_e, "e"),
+        make("full well", "Full well", result.full_well_e, "e"),
+        make("saturation", "Saturation capacity, at the largest variance", result.saturation_e, "e"),
         make("sensor snr", "Signal to noise at saturation", result.snr_max_db, "dB"),
         make("dynamic range", "Dynamic range", result.dynamic_range_db, "dB"),
         make("dsnu", "Dark signal non-uniformity", result.dsnu_e, "e"),
