@@ -118,7 +118,7 @@ def test_status_is_the_last_file_of_a_shard(tmp_path: Path, die_at_write: Callab
         files = [name for name in written if name.endswith((f"/c/{shard}", f"/cube/c/0/{shard}/0"))]
         assert files[0].endswith(f"cube/c/0/{shard}/0")
         assert files[-1].endswith(f"status/c/{shard}")
-        assert len(files) == 18
+        assert len(files) == 20
 
 
 def test_every_file_and_its_folders_are_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ A cube is one Zarr v3 group::
     wavelength_map      (band, sample)        nm of every pixel, where the smile was measured and left
     x, y                (sample), (line)      mm in the object plane, where rectified
     time                (line)                wall clock of the start of the exposure
-    mirror_step, mirror_angle_rad, frame_id, device_ns, smeared, commanded_ns ... stored_ns     (line)
+    mirror_step, mirror_angle_rad, frame_id, device_ns, smeared, attempt, run, commanded_ns ... stored_ns     (line)
     status              (line)                0 nothing safe here, 1 stored, 2 missing
     quicklook           (channel, quicklook_line, quicklook_sample)    where asked for: a picture at an eighth of the size
 
@@ -54,6 +54,7 @@ _RESERVED: Final = frozenset(
         "scanhsi_format",
         "complete",
         "missing",
+        "incidents",
         "clock_offset_ns",
         "acquisition",
         "storage",
@@ -291,6 +292,10 @@ RECORDS: Final = (
             "flag_values": [0, 1],
             "flag_meanings": "still smeared",
         },
+    ),
+    LineVariable("attempt", "uint8", 0, {"long_name": "how often the line was tried"}),
+    LineVariable(
+        "run", "uint16", 0, {"long_name": "session that took the line: 0 began the cube, n is the n-th that resumed it"}
     ),
     *(_stamp(stage) for stage in STAGES),
 )

@@ -16,7 +16,7 @@ from zarr.core.metadata import ArrayV3Metadata
 
 from scanhsi.cube.layout import FORMAT, STATUS
 from scanhsi.cube.location import Location, locate, remote_errors
-from scanhsi.cube.records import STAGES, LineRecords, LineStatus
+from scanhsi.cube.records import STAGES, Incident, LineRecords, LineStatus
 from scanhsi.cube.stored import StoredArray
 from scanhsi.devices.errors import CubeError, NotACube
 
@@ -84,8 +84,10 @@ def read_records(path: str | Path, storage_options: Mapping[str, str] | None = N
     for stage in STAGES:
         if stage != "started" or "started_ns" in opened.arrays:  # cubes written before scanhsi knew it
             records.stamps[stage][:] = opened.read_lines(f"{stage}_ns")
-    if "smeared" in opened.arrays:
-        records.smeared[:] = opened.read_lines("smeared")
+    for name in ("smeared", "attempt", "run"):
+        if name in opened.arrays:
+            getattr(records, name)[:] = opened.read_lines(name)
+    records.incidents += [Incident.from_json(told) for told in opened.attributes.get("incidents", ())]
     records.missing.update(_missing(opened))
     return records
 

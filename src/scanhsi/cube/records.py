@@ -6,8 +6,9 @@ stores the columns beside the pixels. Nothing is allocated per line.
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum, unique
-from typing import Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,38 @@ class LineStatus(IntEnum):
     MISSING = 2
 
 
+@dataclass(frozen=True, slots=True)
+class Incident:
+    """Something that kept a scan from going on for a while, and what was done about it.
+
+    Attributes:
+        kind: A fault, or a pause that somebody asked for.
+        line: The line that was to be taken when it came, and with which the scan went on, if it did.
+        at_ns: When it came, loop clock; in a cube the clock of its stamps.
+        lasted_s: Until the scan went on, or ended.
+        device: Whose fault it was, as messages call the device.
+        cause: What happened.
+        action: What was done.
+    """
+
+    kind: Literal["fault", "pause"]
+    line: int
+    at_ns: int
+    lasted_s: float
+    device: str
+    cause: str
+    action: str
+
+    def to_json(self, shift_ns: int = 0) -> dict[str, Any]:
+        """As plain JSON types, on a clock that is so much ahead."""
+        return {**asdict(self), "at_ns": self.at_ns + shift_ns}
+
+    @classmethod
+    def from_json(cls, value: dict[str, Any], shift_ns: int = 0) -> Incident:
+        """The opposite of `to_json`."""
+        return replace(cls(**value), at_ns=value["at_ns"] - shift_ns)
+
+
 class LineRecords:
     """Columns of one scan, one entry a line.
 
@@ -58,7 +91,10 @@ class LineRecords:
         frame_id: int64 column: the camera's own frame number; -1 is no valid number and means none.
         device_ns: int64 column: the camera's own time stamp, its own epoch.
         smeared: uint8 column: 1 where look-ahead moved the mirror before the exposure had ended.
+        attempt: uint8 column: how often the line was tried; 0 where it never was.
+        run: uint16 column: session that took the line: 0 for the one that began the cube, n for the n-th that resumed it.
         missing: line -> reason, of lines that will never be stored.
+        incidents: What kept the scan from going on for a while, in order.
     """
 
     def __init__(self, lines: int) -> None:
@@ -70,11 +106,23 @@ class LineRecords:
         self.frame_id: NDArray[np.int64] = np.full(lines, -1, np.int64)
         self.device_ns: NDArray[np.int64] = np.full(lines, NOT_STAMPED, np.int64)
         self.smeared: NDArray[np.uint8] = np.zeros(lines, np.uint8)
+        self.attempt: NDArray[np.uint8] = np.zeros(lines, np.uint8)
+        self.run: NDArray[np.uint16] = np.zeros(lines, np.uint16)
         self.missing: dict[int, str] = {}
+        self.incidents: list[Incident] = []
 
     def mark_missing(self, line: int, reason: str) -> None:
         """A line will never be stored. The first reason stands."""
         self.missing.setdefault(line, reason)
+
+    def forget(self, first: int) -> None:
+        """Forget what is known of the lines from ``first`` on, which will be taken again; not how often they were tried."""
+        for column in self.stamps.values():
+            column[first:] = NOT_STAMPED
+        self.mirror_step[first:] = 0
+        self.frame_id[first:] = -1
+        self.device_ns[first:] = NOT_STAMPED
+        self.smeared[first:] = 0
 
     @property
     def stored(self) -> int:

@@ -17,7 +17,7 @@ from scanhsi.cube.destination import Destination
 from scanhsi.cube.encoding import CODECS, Codec
 from scanhsi.cube.layout import FORMAT, RECORDS, STATUS, CubeSpec, Layout, LineVariable
 from scanhsi.cube.metadata import ROOT, Documents, decoded, set_lines
-from scanhsi.cube.records import NOT_STAMPED, STAGES, LineRecords, LineStatus
+from scanhsi.cube.records import NOT_STAMPED, STAGES, Incident, LineRecords, LineStatus
 from scanhsi.devices.errors import CubeError, NotACube
 
 _OF_A_SESSION: Final = frozenset({"run", "versions", "devices", "real_time"})
@@ -108,6 +108,7 @@ def load_records(destination: Destination, cube: Interrupted, records: LineRecor
             getattr(records, variable.name)[there] = column
     records.status[there] = cube.status[there]
     records.missing.update(cube.missing)
+    records.incidents += [Incident.from_json(told, shift_ns) for told in cube.attributes.get("incidents", ())]
 
 
 def load_rows(destination: Destination, cube: Interrupted) -> NDArray[Any] | None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Compute = Callable[[NDArray[Any]], NDArray[Any]]
 """(band, line, sample) of some lines -> the same lines as the new cube has them."""
 
-_KEPT: Final = ("clock_offset_ns", "acquisition", "missing", "binning", "resumed")
+_KEPT: Final = ("clock_offset_ns", "acquisition", "missing", "incidents", "binning", "resumed")
 """What the files of a cube say besides the attributes of a `CubeSpec`, and a cube made of it says again."""
 
 _LINES_AT_ONCE: Final = 4

@@ -42,14 +42,14 @@ class ShardRecords:
         first: First line of the shard.
         columns: Name of each per-line array -> its values from ``first`` on.
         status: uint8, from ``first`` on.
-        missing: Every line missing so far -> reason; None where that has not changed.
+        attributes: Of the group, where they changed (``missing``, ``incidents``): written before the status.
         picture: (channel, row, column) of the quicklook, from ``first`` on; None without one.
     """
 
     first: int
     columns: Mapping[str, NDArray[Any]]
     status: NDArray[np.uint8]
-    missing: Mapping[int, str] | None = None
+    attributes: Mapping[str, Any] | None = None
     picture: NDArray[np.uint16] | None = None
 
 
@@ -246,7 +246,7 @@ class CubeFiles:
             raise disk_error(self.destination, error, needed=100_000) from error
 
     def write_status(self, records: ShardRecords) -> None:
-        """Write the reasons of missing lines, then the status of a shard whose pixels and columns are there.
+        """Write the attributes that changed, then the status of a shard whose pixels and columns are there.
 
         Shard after shard, one at a time: what has a status is always a beginning of the cube.
 
@@ -256,8 +256,8 @@ class CubeFiles:
         shard = records.first // self._layout.lines_per_shard
         status = self._line_chunk(STATUS, records.status)
         try:
-            if records.missing is not None:
-                self._annotate({"missing": {str(line): reason for line, reason in sorted(records.missing.items())}})
+            if records.attributes is not None:
+                self._annotate(records.attributes)
                 root = encoded(self._documents)[ROOT]
                 self.destination.put(ROOT, [memoryview(root)], durable=self._durable)
             self.destination.put(f"status/c/{shard}", [memoryview(status)], durable=self._durable)

@@ -33,7 +33,7 @@ class LineSink(Protocol):
 
     @property
     def capacity(self) -> int:
-        """Lines that may be in memory at once: the credits."""
+        """Lines that may be in memory at once, behind those that were named safe: the credits. May change as lines are named."""
         ...
 
     @property

@@ -77,7 +77,7 @@ class CubeWriter:
         self._submitted = 0  # first line of no commit
         self._safe = 0  # first line that is not on disk
         self._named = 0  # first line that no returned range has named
-        self._missing_written = 0
+        self._missing_written = self._incidents_written = 0
         self._commits: deque[asyncio.Task[None]] = deque()
         self._opening: asyncio.Task[None] | None = None
         self._closing: asyncio.Task[None] | None = None
@@ -149,8 +149,9 @@ class CubeWriter:
 
     @property
     def capacity(self) -> int:
-        """Lines that may be in memory at once."""
-        return self._slots * self._layout.lines_per_shard
+        """Lines that may be in memory at once, now: those of all slots, less what of a shard is stored already."""
+        per_shard = self._layout.lines_per_shard
+        return self._slots * per_shard - self._named % per_shard
 
     @property
     def lines_per_shard(self) -> int:
@@ -210,6 +211,8 @@ class CubeWriter:
         }
         destination = self._files.destination
         await run_blocking(0.0, load_records, destination, cube, self._records, self._shift_ns)
+        self._records.run[cube.next_line :] = len(resumed)
+        self._incidents_written = len(self._records.incidents)
         self._stored_rows = await run_blocking(0.0, load_rows, destination, cube)
         await run_blocking(0.0, self._files.reopen, cube.documents, head)
         await self._allocate()
@@ -296,6 +299,7 @@ class CubeWriter:
         await self._drain()
         attributes: dict[str, Any] = {
             **self._notes,
+            "incidents": self._incidents(),
             "complete": self._safe == self._spec.lines,
             "acquisition": self._acquisition(finished=True),
         }
@@ -350,7 +354,7 @@ class CubeWriter:
             if failure is not None:
                 raise failure
             assert records is not None
-            records = replace(records, missing=self._new_missing(stop))
+            records = replace(records, attributes=self._news(stop))
             await run_blocking(0.0, self._files.write_status, records)
         except CubeError as error:
             self._failure = error
@@ -379,12 +383,16 @@ class CubeWriter:
         columns["stored_ns"][start - first :][stored] = stamp + self._shift_ns
         return ShardRecords(first, columns, self._status[lines].copy(), picture=picture)
 
-    def _new_missing(self, stop: int) -> dict[int, str] | None:
-        """All lines missing before ``stop``; None where the last status told them already."""
-        missing = {int(line): self._records.missing[int(line)] for line in self._missing_lines(stop)}
-        changed = len(missing) > self._missing_written
-        self._missing_written = len(missing)
-        return missing if changed else None
+    def _news(self, stop: int) -> dict[str, Any] | None:
+        """Reasons of all lines missing before ``stop``, and all incidents; None where the last status told them already."""
+        missing = {str(line): self._records.missing[line] for line in self._missing_lines(stop).tolist()}
+        incidents = self._incidents()
+        changed = len(missing) > self._missing_written or len(incidents) > self._incidents_written
+        self._missing_written, self._incidents_written = len(missing), len(incidents)
+        return {"missing": missing, "incidents": incidents} if changed else None
+
+    def _incidents(self) -> list[dict[str, Any]]:
+        return [incident.to_json(self._shift_ns) for incident in self._records.incidents]
 
     def _column(self, name: str, lines: slice) -> NDArray[Any]:
         """A per-line array as it is stored; stamps on the clock of the cube."""
