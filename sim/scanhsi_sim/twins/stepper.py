@@ -44,6 +44,7 @@ class StepperTwinSettings:
             1.6 s); None = it does not.
         seed: Of the injected noise.
         firmware: ELF file for the ATmega328P; None = the one of the stepper driver.
+        grbl_shield: The firmware has the pins of GRBL; its X axis turns the mirror.
         trigger_socket: Unix datagram socket that gets 24 bytes for each trigger pulse at once: number, position in steps,
             CLOCK_MONOTONIC in ns (of the pulse; it arrives up to 0.2 ms later), each a little-endian int64. A late reader gets
             all pulses in order; pulses while nobody listens are only counted.
@@ -57,6 +58,7 @@ class StepperTwinSettings:
     auto_reset_s: float | None = None
     seed: int = 1
     firmware: Path | None = None
+    grbl_shield: bool = False
     trigger_socket: Path | None = None
     trigger_lines: bool = False
 
@@ -241,6 +243,8 @@ def _arguments(settings: StepperTwinSettings, port: str, mirror_file: Path) -> l
         arguments.append(f"--auto-reset={round(settings.auto_reset_s * 1000)}")
     if settings.trigger_socket is not None:
         arguments.append(f"--trigger-socket={settings.trigger_socket}")
+    if settings.grbl_shield:
+        arguments.append("--grbl-shield")
     if settings.trigger_lines:
         arguments.append("--trigger-stream")
     return arguments

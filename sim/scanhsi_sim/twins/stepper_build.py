@@ -23,17 +23,17 @@ _LIBRARIES = ("-lsimavr", "-lelf", "-lm", "-lutil")
 _HEADERS = Path("/usr/include/simavr")
 
 
-def firmware_elf() -> Path:
-    """The firmware that the stepper driver ships.
+def firmware_elf(name: str = "stepper") -> Path:
+    """The firmware that the stepper driver ships; ``"grbl"`` is its motion core behind the interface of GRBL.
 
     Raises:
         DeviceUnavailable: The driver package is not installed.
     """
     spec = find_spec("scanhsi_stepper")
-    path = Path(spec.origin).parent / "firmware" / "stepper.elf" if spec and spec.origin else None
+    path = Path(spec.origin).parent / "firmware" / f"{name}.elf" if spec and spec.origin else None
     if path is None or not path.is_file():
         raise DeviceUnavailable(
-            "the stepper firmware (scanhsi_stepper/firmware/stepper.elf) is not installed.", device="stepper twin"
+            f"the stepper firmware (scanhsi_stepper/firmware/{name}.elf) is not installed.", device="stepper twin"
         )
     return path
 

@@ -24,8 +24,8 @@ def test_firmware_rebuilds_to_the_committed_image(tmp_path: Path) -> None:
     if version != COMPILER:
         pytest.skip(f"the image was built by {COMPILER}, this is {version}")
     subprocess.run(["make", "-C", FIRMWARE, f"OUT={tmp_path}"], check=True, capture_output=True, env=os.environ)
-    assert (tmp_path / "stepper.hex").read_bytes() == (FIRMWARE / "stepper.hex").read_bytes()
-    assert (tmp_path / "stepper.elf").read_bytes() == (FIRMWARE / "stepper.elf").read_bytes()
+    for name in ("stepper.hex", "stepper.elf", "grbl.elf"):
+        assert (tmp_path / name).read_bytes() == (FIRMWARE / name).read_bytes()
 
 
 def test_the_image_fits_the_chip() -> None:

@@ -32,12 +32,13 @@ struct options {
     int auto_reset_ms;          /* time in the bootloader after the port is opened; -1 = no auto-reset */
     uint64_t seed;              /* of the injected noise */
     bool trigger_stream;        /* print TRIG lines */
+    bool grbl_shield;           /* the pins are those of GRBL, X axis */
 };
 
 /* --- cpu.c: libsimavr and the workarounds for it ----------------------------------------------------------------- */
 enum reset_cause { RESET_POWER_ON, RESET_EXTERNAL };
 
-bool cpu_load(const char *elf);
+bool cpu_load(const char *elf, bool grbl_shield);
 void cpu_reset(enum reset_cause cause, uint64_t deaf_cycles); /* deaf: time spent in the bootloader */
 bool cpu_run_until(uint64_t cycle);                           /* false = the firmware crashed */
 uint64_t cpu_cycle(void);

@@ -2,6 +2,7 @@
  * libsimavr behind a small interface. It has habits that would falsify the bench; each workaround says which. */
 #include <simavr/avr_extint.h>
 #include <simavr/avr_ioport.h>
+#include <simavr/avr_timer.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
@@ -18,10 +19,27 @@
 #define DOR0 3
 #define U2X0 1
 #define USART_FIFO 3 /* two bytes of buffer and one in the shift register */
-#define HOME_BIT 2
+#define OCR1AL 0x88
+#define OCR1AH 0x89
+#define TIMSK1 0x6F
+#define OCIE1A 1
+
+/* Where the signals are: on our own firmware's board, and on a GRBL shield (X axis). */
+struct pin {
+    char port;
+    int bit;
+};
+static const struct pins {
+    struct pin home, step, dir, enable, trigger;
+} boards[] = {
+    { { 'D', 2 }, { 'D', 3 }, { 'D', 4 }, { 'D', 5 }, { 'B', 0 } },
+    { { 'B', 1 }, { 'D', 2 }, { 'D', 5 }, { 'B', 0 }, { 'C', 3 } /* coolant: the nearest it has to a trigger */ },
+};
+static const struct pins *pins = &boards[0];
 
 static avr_t *avr;
 static avr_uart_t *uart;
+static avr_timer_t *timer1;
 static uint64_t deaf_until;
 static uint64_t overruns;
 
@@ -49,11 +67,19 @@ static unsigned bit_cycles(void)
 /* simavr counts 8N1 as 11 bits; and it computes this only on a write of UBRR0L. Set it right, again and again. */
 static void correct_baud(void) { uart->cycles_per_byte = bit_cycles() * 10; }
 
+/* A compare value of 0 never matches in simavr. GRBL begins each motion with one. */
+static void start_timer1(void)
+{
+    if (avr->data[TIMSK1] & (1 << OCIE1A) && !avr->data[OCR1AL] && !avr->data[OCR1AH])
+        avr_raise_interrupt(avr, &timer1->comp[AVR_TIMER_COMPA].interrupt);
+}
+
 static avr_cycle_count_t tick(avr_t *core, avr_cycle_count_t when, void *param)
 {
     (void)core;
     (void)param;
     correct_baud();
+    start_timer1();
     return when + TICK_CYCLES;
 }
 
@@ -82,21 +108,22 @@ static void on_pin(struct avr_irq_t *irq, uint32_t value, void *param)
     handler(value != 0);
 }
 
-static avr_uart_t *find_uart(void)
+/* The first peripheral of a kind and name. */
+static void *find(const char *kind, char name)
 {
     for (avr_io_t *io = avr->io_port; io; io = io->next)
-        if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0')
-            return (avr_uart_t *)io;
+        if (!strcmp(io->kind, kind) && (kind[0] == 'u' ? ((avr_uart_t *)io)->name : ((avr_timer_t *)io)->name) == name)
+            return io;
     return NULL;
 }
 
-static void hook_pin(char port, int bit, void (*handler)(bool))
+static void hook_pin(struct pin pin, void (*handler)(bool))
 {
-    avr_irq_t *irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit);
+    avr_irq_t *irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(pin.port), pin.bit);
     avr_irq_register_notify(irq, on_pin, handler);
 }
 
-bool cpu_load(const char *elf)
+bool cpu_load(const char *elf, bool grbl_shield)
 {
     static elf_firmware_t firmware; /* large, and all of it must begin as zero */
     uint32_t flags = 0;
@@ -111,13 +138,15 @@ bool cpu_load(const char *elf)
     avr_load_firmware(avr, &firmware);
     avr->frequency = CPU_HZ;
     avr->sleep = no_sleep;
-    uart = find_uart();
+    uart = find("uart", '0');
+    timer1 = find("timer", '1');
+    pins = &boards[grbl_shield];
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags); /* no echo of lines to stdout, no usleep while polled */
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_transmit, NULL);
-    hook_pin('D', 3, mirror_step_pin);
-    hook_pin('D', 4, mirror_dir_pin);
-    hook_pin('D', 5, mirror_enable_pin);
-    hook_pin('B', 0, mirror_trigger_pin);
+    hook_pin(pins->step, mirror_step_pin);
+    hook_pin(pins->dir, mirror_dir_pin);
+    hook_pin(pins->enable, mirror_enable_pin);
+    hook_pin(pins->trigger, mirror_trigger_pin);
     return true;
 }
 
@@ -179,7 +208,8 @@ void cpu_expect_byte(void)
 /* An input with pull-up goes back to 1 at every write to its port, unless it is also an "external" level. */
 void cpu_set_home_sensor(bool on)
 {
-    avr_ioport_external_t level = { .name = 'D', .mask = 1 << HOME_BIT, .value = on ? 0 : 1 << HOME_BIT };
-    avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL('D'), &level);
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), HOME_BIT), on ? 0 : 1);
+    struct pin home = pins->home;
+    avr_ioport_external_t level = { .name = home.port, .mask = 1 << home.bit, .value = on ? 0 : 1 << home.bit };
+    avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(home.port), &level);
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(home.port), home.bit), on ? 0 : 1);
 }

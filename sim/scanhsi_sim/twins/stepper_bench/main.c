@@ -124,7 +124,7 @@ static bool parse(int argc, char **argv)
         { "firmware", 1, 0, 'f' }, { "link", 1, 0, 'l' }, { "mirror-file", 1, 0, 'm' }, { "trigger-socket", 1, 0, 't' },
         { "trace", 1, 0, 'T' }, { "speed", 1, 0, 's' }, { "start", 1, 0, 'p' }, { "window-low", 1, 0, 'w' },
         { "window-steps", 1, 0, 'W' }, { "auto-reset", 1, 0, 'a' }, { "seed", 1, 0, 'S' }, { "trigger-stream", 0, 0, 'x' },
-        { 0, 0, 0, 0 },
+        { "grbl-shield", 0, 0, 'g' }, { 0, 0, 0, 0 },
     };
     int option;
     while ((option = getopt_long(argc, argv, "", names, NULL)) != -1) {
@@ -141,6 +141,7 @@ static bool parse(int argc, char **argv)
         case 'a': options.auto_reset_ms = atoi(optarg); break;
         case 'S': options.seed = strtoull(optarg, NULL, 10); break;
         case 'x': options.trigger_stream = true; break;
+        case 'g': options.grbl_shield = true; break;
         default: return false;
         }
     }
@@ -158,14 +159,14 @@ int main(int argc, char **argv)
     if (!parse(argc, argv))
         return fail("usage: stepper_bench --firmware ELF [--link PATH] [--mirror-file PATH] [--trigger-socket PATH] "
                     "[--trigger-stream] [--trace PATH] [--speed F] [--start N] [--window-low N] [--window-steps N] "
-                    "[--auto-reset MS] [--seed N]");
+                    "[--auto-reset MS] [--seed N] [--grbl-shield]");
     prctl(PR_SET_TIMERSLACK, 1000UL, 0, 0, 0);
     signal(SIGPIPE, SIG_IGN);
     if (!publish_open(options.mirror_file))
         return fail("cannot create the mirror file");
     if (!triggers_open(options.trigger_socket, options.trigger_stream))
         return fail("cannot use that trigger socket: the path is too long");
-    if (!cpu_load(options.firmware))
+    if (!cpu_load(options.firmware, options.grbl_shield))
         return fail("cannot load the firmware: not an AVR ELF file");
     serial_seed(options.seed);
     mirror_start(&options);
