@@ -149,6 +149,7 @@ class StepperActuator:
             backlash_steps=options.backlash_steps,
             settle_s=options.settle_s,
             simulated=options.simulated,
+            finds_home=options.home_direction is not None,
         )
 
     async def _set_up(self, link: StepperLink) -> None:

@@ -3,7 +3,7 @@
 Positions are integers in *steps* (one microstep of the motor); step 0 is where homing ends. An actuator driver is any class with
 these methods. Calls come from one event loop, one at a time, except ``stop``, which may come at any moment::
 
-    connect ──> home? ──> move_to* ──> stop ──> close
+    connect ──> home? ──> move_to* ──> stop ──> close ──> connect, anew
 
 * **Time.** As in the camera contract: ns of the loop clock, sleeps through asyncio.
 * **Limits.** A target outside ``info.limits`` raises `OutOfRange` before anything moves.
@@ -12,6 +12,8 @@ these methods. Calls come from one event loop, one at a time, except ``stop``, w
 * **Position.** After a reset of the controller, or when steps were lost, every call but ``home``, ``stop`` and ``close`` raises
   `PositionLost`.
 * **Cancellation.** A cancelled ``move_to``, ``sweep`` or ``home`` leaves the motor perhaps moving: the caller then calls ``stop``.
+* **Reopening.** After ``close``, also of a controller that was lost, ``connect`` opens it anew. ``homed`` tells whether its steps still
+  mean what they meant.
 * **Safety.** ``stop`` always works: in any state, during a motion, after a failure, again and again. It returns when the mirror
   stands still or raises because it cannot know that.
 * **Backlash.** ``move_to`` arrives from below wherever ``info.backlash_steps`` is not 0.
@@ -38,6 +40,8 @@ class ActuatorInfo:
         backlash_steps: Play of the drive; 0 where unknown or none.
         settle_s: Time the mirror is given after each step move.
         simulated: True for anything that is not a real mirror.
+        finds_home: Whether ``home`` finds the same place by itself, with a switch or an index. Where it only takes the present
+            position as zero, a lost position cannot be found again, and no scan goes on after one.
     """
 
     name: str
@@ -49,6 +53,7 @@ class ActuatorInfo:
     backlash_steps: int = 0
     settle_s: float = 0.0
     simulated: bool = False
+    finds_home: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ time except where stated, in this order::
   camera that rounds (exposure to its time base) returns what it applied.
 * **Frames.** Every exposure ends as exactly one `Frame` or in exactly one `FrameGap`, in order of ``index``.
 * **Failure.** Anything that goes wrong is a `DeviceError` raised ``from`` its cause. After `DeviceLost` the object is only good for
-  ``close()``.
+  ``close()``; after that ``connect`` opens the camera anew, with nothing of its settings left.
 * **Cancellation.** Every method may be cancelled at any await; afterwards ``disarm`` and ``close`` must still work.
 * **Idempotence.** ``disarm`` and ``close`` may be called in any state and any number of times; after ``close`` no thread, socket
   or buffer of the driver is left, except memory that a consumer still views.

@@ -14,7 +14,8 @@
     │   ├── ProtocolError        the device answered something that its protocol does not allow
     │   ├── MotionFailed         a motion did not end where it should have: stopped, stalled, home sensor not found
     │   ├── PositionLost         the actuator no longer knows where it is; home it before the next move
-    │   └── FrameLost            a frame was exposed and will never arrive whole
+    │   ├── FrameLost            a frame was exposed and will never arrive whole
+    │   └── DeviceUnsafe         it did not confirm that it is in its safe state: the mirror may be moving, the light be on
     ├── ConfigError              an instrument file, a plan or an option is wrong; lists every problem found
     ├── CubeError                a cube cannot be created, written or read
     │   ├── CubeExists           the output is there already; nothing was touched
@@ -124,6 +125,10 @@ class FrameLost(DeviceError):
     """A frame was exposed and will never arrive whole (lost packets, no free buffer)."""
 
 
+class DeviceUnsafe(DeviceError):
+    """A device was told to be safe (mirror still, light off) and did not confirm it: look at the instrument."""
+
+
 class ConfigError(ScanhsiError, ValueError):
     """A configuration, a plan or an option is wrong.
 
@@ -175,3 +180,8 @@ class ScanFailed(ScanhsiError):
         self.stored = stored
         self.lines = lines
         self.output = output
+
+    @property
+    def unsafe(self) -> tuple[DeviceUnsafe, ...]:
+        """Devices that may not be in their safe state; empty where all confirmed that they are."""
+        return tuple(cause for cause in self.causes if isinstance(cause, DeviceUnsafe))
