@@ -12,8 +12,8 @@ these methods. Calls come from one event loop, one at a time, except ``stop``, w
 * **Position.** After a reset of the controller, or when steps were lost, every call but ``home``, ``stop`` and ``close`` raises
   `PositionLost`.
 * **Cancellation.** A cancelled ``move_to``, ``sweep`` or ``home`` leaves the motor perhaps moving: the caller then calls ``stop``.
-* **Reopening.** After ``close``, also of a controller that was lost, ``connect`` opens it anew. ``homed`` tells whether its steps still
-  mean what they meant.
+* **Reopening.** After ``close``, also of a controller that was lost, ``connect`` opens it anew. ``homed`` tells whether its steps
+  still mean what they meant.
 * **Safety.** ``stop`` always works: in any state, during a motion, after a failure, again and again. It returns when the mirror
   stands still or raises because it cannot know that.
 * **Backlash.** ``move_to`` arrives from below wherever ``info.backlash_steps`` is not 0.
