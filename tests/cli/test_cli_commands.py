@@ -18,11 +18,15 @@ from scanhsi.engine import Progress
 from scanhsi.instrument.schema import schema
 from support.command_line import Cli
 
-COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands if command.callback)
+COMMANDS = sorted(
+    command.name or command.callback.__name__
+    for command in app.registered_commands
+    if command.callback and not command.hidden
+)
 
 
 def test_the_commands() -> None:
-    assert {"drivers", "info", "predict", "quicklook", "scan", "schema", "trace", "twin", "verify"} <= set(COMMANDS)
+    assert {"drivers", "info", "predict", "scan", "schema", "trace", "twin", "verify", "view"} <= set(COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -46,21 +46,6 @@ def test_people_get_words(cli: Cli, mini: Path, tmp_path: Path) -> None:
     assert "exposure    20 ms at 0 dB" in told.out
 
 
-def test_quicklook(cli: Cli, mini: Path, tmp_path: Path) -> None:
-    cube, picture = tmp_path / "a.zarr", tmp_path / "a.png"
-    cli("scan", mini, "-o", cube, "--virtual")
-    told = cli("quicklook", cube, "-o", picture, "--json")
-    assert told.code == 0
-    assert told.object["simulated"] is True
-    assert told.object["lines"] == 6
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    refused = cli("quicklook", cube, "-o", tmp_path / "a.jpg", "--json")
-    assert refused.code == 2
-    assert "is not a .png file" in refused.object["error"]["message"]
-    assert cli("quicklook", tmp_path / "nothing", "-o", picture).code == 4
-    assert cli("quicklook", cube, "-o", tmp_path / "no" / "folder.png").code == 4
-
-
 def test_virtual_scans_are_the_same_to_the_last_digit(cli: Cli) -> None:
     words = ("scan", "--virtual", "--discard", "--lines", 40, "--exposure", "100 ms", "--mode", "stepped", "--json")
     first, second, other = cli(*words, "--seed", 1), cli(*words, "--seed", 1), cli(*words, "--seed", 2)

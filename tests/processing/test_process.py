@@ -167,10 +167,10 @@ def test_lines_as_they_arrive_give_what_the_cube_gives(cubes):
 
 
 def test_colours_of_reflectance_need_no_guess(cubes):
-    from scanhsi.calibration.quicklook import quicklook
+    from scanhsi.calibration.view import view
 
     process(cubes / "hand.zarr", cubes / "out.zarr", steps(cubes))
-    look = quicklook(cubes / "out.zarr")
+    look = view(cubes / "out.zarr")
     assert look.quantity == "reflectance"
     assert "of the reflectance" in look.colour_note
-    assert quicklook(cubes / "hand.zarr").quantity == "counts"
+    assert view(cubes / "hand.zarr").quantity == "counts"

@@ -20,12 +20,25 @@ def checkers() -> list[Any]:
     return list(colour.SDS_COLOURCHECKERS["ColorChecker N Ohta"].values())
 
 
-def expected_xyz(spectrum: Any) -> NDArray[np.float64]:
-    """XYZ of a reflectance under D65, white at Y = 1, by summation over 1 nm."""
+def expected_xyz(spectrum: Any, light: str = "D65") -> NDArray[np.float64]:
+    """XYZ of a reflectance under a light, white at Y = 1, by summation over 1 nm."""
     cmfs = colour.MSDS_CMFS[_OBSERVER].copy().trim(colour.SpectralShape(380, 780, 1))
-    light = colour.SDS_ILLUMINANTS["D65"].copy().align(cmfs.shape)
-    xyz = colour.sd_to_XYZ(spectrum.copy().align(cmfs.shape), cmfs, light, method="Integration")
+    power = colour.SDS_ILLUMINANTS[light].copy().align(cmfs.shape)
+    xyz = colour.sd_to_XYZ(spectrum.copy().align(cmfs.shape), cmfs, power, method="Integration")
     return np.asarray(xyz, np.float64) / 100
+
+
+def white_xyz(light: str) -> NDArray[np.float64]:
+    """XYZ of a perfect white under a light."""
+    return expected_xyz(colour.sd_ones(colour.SpectralShape(380, 780, 1)), light)
+
+
+def adapted(xyz: NDArray[np.float64], light: str) -> NDArray[np.float64]:
+    """XYZ under D65 that looks the same (Bradford)."""
+    matrix = colour.adaptation.matrix_chromatic_adaptation_VonKries(
+        white_xyz(light), white_xyz("D65"), transform="Bradford"
+    )
+    return np.asarray(matrix, np.float64) @ xyz
 
 
 def xyz_to_srgb(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -38,7 +51,11 @@ def srgb_to_xyz(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(colour.sRGB_to_XYZ(rgb), np.float64)
 
 
-def delta_e(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+def lab(xyz: NDArray[np.float64], light: str = "D65") -> NDArray[np.float64]:
+    """CIE L*a*b* beside the white of a light."""
+    return np.asarray(colour.XYZ_to_Lab(xyz, colour.XYZ_to_xy(white_xyz(light))), np.float64)
+
+
+def delta_e(one: NDArray[np.float64], other: NDArray[np.float64], light: str = "D65") -> float:
     """CIEDE2000 difference of two XYZ."""
-    white = colour.CCS_ILLUMINANTS[_OBSERVER]["D65"]
-    return float(colour.delta_E(colour.XYZ_to_Lab(one, white), colour.XYZ_to_Lab(other, white), method="CIE 2000"))
+    return float(colour.delta_E(lab(one, light), lab(other, light), method="CIE 2000"))

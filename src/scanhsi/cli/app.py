@@ -26,13 +26,13 @@ from scanhsi.cli import (
     plan,
     predict,
     process,
-    quicklook,
     scan,
     schema,
     spec,
     trace,
     twin,
     verify,
+    view,
 )
 from scanhsi.cli.codes import EXIT_CODES, ExitCode
 from scanhsi.cli.output import show_error, write_json
@@ -74,7 +74,7 @@ app = typer.Typer(
 for _command in (
     scan,
     info,
-    quicklook,
+    view,
     process,
     export,
     importing,

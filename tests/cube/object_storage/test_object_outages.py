@@ -132,7 +132,7 @@ def test_scan_to_a_bucket(
     assert "exists already; nothing was written" in capsys.readouterr().err
     if not spooled:
         assert run(["info", url]) == 0
-        assert run(["quicklook", url, "-o", str(tmp_path / "look.png")]) == 0
+        assert run(["view", url, "-o", str(tmp_path / "look.png")]) == 0
         assert run(["export", url, "-o", str(tmp_path / "hand.hdr")]) == 0
     if spooled:
         assert run(["drain", str(spool)]) == 0

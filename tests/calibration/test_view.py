@@ -1,4 +1,4 @@
-"""Quicklooks of small cubes whose colours are known."""
+"""Views of small cubes whose colours are known."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import pytest
 import xarray as xr
 
 from scanhsi import clock
-from scanhsi.calibration.picture import save_picture
-from scanhsi.calibration.quicklook import quicklook
+from scanhsi.calibration.colour import xyz_to_srgb as srgb_of
+from scanhsi.calibration.figures.view import save_view
+from scanhsi.calibration.view import view
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.reader import open_cube
-from scanhsi.devices.errors import CubeError, NotACube
-from support.colours import checkers, delta_e, expected_xyz, srgb_to_xyz, xyz_to_srgb
+from scanhsi.devices.errors import CalibrationError, CubeError, NotACube
+from support.colours import checkers, delta_e, expected_xyz, srgb_to_xyz
 from support.cubes import write_cube
 
 WAVELENGTH = np.linspace(371, 950, 218)
@@ -51,11 +52,11 @@ def chart(wavelength: np.ndarray = WAVELENGTH) -> tuple[np.ndarray, list[Any]]:
 )
 def test_colours_of_a_chart_between_white_and_black(wavelength: np.ndarray) -> None:
     reflectance, spectra = chart(wavelength)
-    look = quicklook(dataset(reflectance, wavelength))
+    look = view(dataset(reflectance, wavelength))
     assert look.true_colour
     seen = look.colour[PATCH : 2 * PATCH].reshape(PATCH, 24, PATCH, 3).mean(axis=(0, 2))
     for rgb, spectrum in zip(seen, spectra, strict=True):
-        expected = xyz_to_srgb(expected_xyz(spectrum))
+        expected = srgb_of(expected_xyz(spectrum))
         assert delta_e(srgb_to_xyz(rgb), srgb_to_xyz(expected)) < 1.0, spectrum.name
 
 
@@ -64,20 +65,20 @@ def test_known_white_region() -> None:
     reflectance, _ = chart()
     reflectance[:, :, :40] *= 1.5
     cube = dataset(reflectance)
-    assert quicklook(cube).colour[5, 100].max() < 0.9
-    look = quicklook(cube, white=(slice(0, PATCH), slice(60, None)))
+    assert view(cube).colour[5, 100].max() < 0.9
+    look = view(cube, white=(slice(0, PATCH), slice(60, None)))
     assert "white as given" in look.colour_note
     np.testing.assert_allclose(look.colour[5, 100], 1, atol=0.01)
     with pytest.raises(CubeError, match="white region"):
-        quicklook(cube, white=(slice(500, 510), slice(0, 3)))
+        view(cube, white=(slice(500, 510), slice(0, 3)))
 
 
 def test_missing_lines_are_no_part_of_it() -> None:
     reflectance, _ = chart()
-    cube, whole = dataset(reflectance), quicklook(dataset(reflectance))
+    cube, whole = dataset(reflectance), view(dataset(reflectance))
     cube["status"][[3, 4, 20]] = 2
     cube["cube"][:, [3, 4, 20]] = 4095  # would be the white, if it counted
-    look = quicklook(cube)
+    look = view(cube)
     assert list(np.flatnonzero(look.missing)) == [3, 4, 20]
     assert np.isnan(look.colour[[3, 4, 20]]).all()
     assert np.isnan(look.band[20]).all()
@@ -88,7 +89,7 @@ def test_missing_lines_are_no_part_of_it() -> None:
 @pytest.mark.parametrize(("wavelength", "name"), [(None, "band 163 of 218"), (np.linspace(790, 990, 218), "803 nm")])
 def test_without_visible_wavelengths_colours_are_said_to_be_false(wavelength: np.ndarray | None, name: str) -> None:
     reflectance, _ = chart()
-    look = quicklook(dataset(reflectance, wavelength))
+    look = view(dataset(reflectance, wavelength))
     assert not look.true_colour
     assert "false colour" in look.colour_note
     assert look.band_name == name
@@ -99,15 +100,15 @@ def test_band_picture_is_the_band_that_was_asked_for() -> None:
     reflectance, _ = chart()
     cube = dataset(reflectance)
     near = np.abs(WAVELENGTH - 600).argmin()
-    np.testing.assert_array_equal(quicklook(cube, band_nm=600).band, cube["cube"].values[near].astype(np.float32))
-    assert quicklook(cube, band_nm=1200).band_name == "950 nm (nearest to 1200 nm)"
+    np.testing.assert_array_equal(view(cube, band_nm=600).band, cube["cube"].values[near].astype(np.float32))
+    assert view(cube, band_nm=1200).band_name == "950 nm (nearest to 1200 nm)"
 
 
 @pytest.mark.parametrize("shape", [(3, 2300, 4), (3, 17, 2048), (2, 1001, 1), (1, 2, 2)])
 def test_big_cubes_are_binned(shape: tuple[int, int, int]) -> None:
     rng = np.random.default_rng(0)
     cube = dataset(rng.uniform(0, 1, shape), None)
-    look = quicklook(cube)
+    look = view(cube)
     factors = tuple(math.ceil(length / 1000) for length in shape[1:])
     rows, columns = (-(-length // factor) for length, factor in zip(shape[1:], factors, strict=True))
     assert look.band.shape == (rows, columns) == look.colour.shape[:2]
@@ -123,31 +124,31 @@ def test_png(tmp_path: Path, simulated: bool) -> None:
     geometry = {"geometry": {"distance_m": 0.35, "sample_pitch_m": 155e-6}}
     cube = dataset(reflectance, simulated=simulated, instrument=geometry if simulated else {})
     cube["status"][20:24] = 2
-    look = quicklook(cube)
-    save_picture(look, tmp_path / "a.png", title="chart.zarr")
+    look = view(cube)
+    save_view(look, tmp_path / "a.png", title="chart.zarr")
     picture = matplotlib.image.imread(tmp_path / "a.png")
-    assert picture.shape[1] == 1440
-    heading = picture[:40].reshape(-1, 4)
-    assert (np.ptp(heading[:, :3], axis=1) > 0.3).any() == simulated  # a simulated cube's title is red
+    assert picture.shape[1] == 1460
+    foot = picture[-40:].reshape(-1, 4)
+    assert (np.ptp(foot[:, :3], axis=1) > 0.3).any() == simulated  # a simulated cube is said to be one, in red
     assert (look.extent_mm is None) != simulated
     if look.extent_mm is not None:
         np.testing.assert_allclose(look.extent_mm, (-22.32, 22.32, -7.0009, 7.0009), rtol=1e-4)
-    with pytest.raises(CubeError, match="cannot write"):
-        save_picture(look, tmp_path / "no/a.png", title="")
+    with pytest.raises(CalibrationError, match="cannot write"):
+        save_view(look, tmp_path / "no/a.png", title="")
 
 
 def test_cubes_on_disk(tmp_path: Path) -> None:
     spec = CubeSpec(40, 6, 7, "uint16", 12, {"simulated": True}, np.linspace(400, 900, 6))
     path = tmp_path / "a.zarr"
     clock.run(write_cube(path, spec, reach=33, missing={4: "lost"}, lines_per_shard=4), virtual=True)
-    look = quicklook(path)
-    assert look.simulated
+    look = view(path)
+    assert look.provenance.simulated
     assert look.lines_planned == 40
     assert look.band.shape == (33, 7)
     np.testing.assert_array_equal(look.band[5], open_cube(path)["cube"].values[4, 5])
-    save_picture(look, tmp_path / "a.png", title="a.zarr")
+    save_view(look, tmp_path / "a.png", title="a.zarr")
     with pytest.raises(NotACube):
-        quicklook(tmp_path)
+        view(tmp_path)
     clock.run(write_cube(tmp_path / "empty.zarr", spec, reach=0), virtual=True)
     with pytest.raises(CubeError, match="holds no line"):
-        quicklook(tmp_path / "empty.zarr")
+        view(tmp_path / "empty.zarr")

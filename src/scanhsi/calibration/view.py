@@ -1,0 +1,268 @@
+"""A cube at a glance, as figure 14 of the paper: its colours, one band or the ratio of two, spectra drawn at random.
+
+Reflectance becomes colour as it is. Counts need a black and a white, and a raw cube has no references. So it is assumed, band by
+band, that the darkest hundredth of the picture is black and that its brightest two-hundredth is a white patch. With a white strip
+or tile in view colours are right; without, what is brightest turns white. Where something is known to be white, say so with
+``white``. Brightness is relative.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from scanhsi.calibration import colour as colours
+from scanhsi.calibration.colour import VISIBLE_NM
+from scanhsi.calibration.illuminants import Illuminant, illuminant
+from scanhsi.calibration.result import Provenance
+from scanhsi.cube.reader import open_cube
+from scanhsi.cube.shrink import Means, Reduce, Weighted, shrink
+from scanhsi.cube.spectra import (
+    RegionSpectrum,
+    Spectra,
+    bands_near,
+    random_spectra,
+    ratio_of,
+    region_spectrum,
+    stored,
+    wavelengths_of,
+)
+from scanhsi.devices.errors import CubeError
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Region = tuple[slice, slice]
+
+_LONGEST_SIDE: Final = 1000
+_GROUP_NM: Final = 10.0
+_NEEDED_NM: Final = (450.0, 650.0)  # a cube that begins or ends between them has no true colours
+_PERCENTILES: Final = (1.0, 99.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Pictures of a cube; a row of pixels is a few lines, a column a few samples, so that they stay below 1000 pixels.
+
+    Attributes:
+        colour: (rows, columns, 3) float32, sRGB from 0 to 1; nan where nothing is known.
+        true_colour: False for a cube without all colours from blue to red: then ``colour`` shows thirds of the bands.
+        colour_note: How the colours were made, in one line.
+        out_of_gamut: Part of the pixels whose colour sRGB cannot show; see `scanhsi.calibration.colour`.
+        band: (rows, columns) float32, means, or their ratio; nan where nothing is known.
+        band_name: Which band it is (``"803 nm"``).
+        quantity: What the cube's numbers are: counts, reflectance.
+        band_quantity: What those of ``band`` are: the same, or ratio.
+        wavelength_nm: (bands,); None where not calibrated.
+        missing: (lines,) bool, lines without pixels.
+        samples: Samples of a line.
+        extent_mm: (left, right, bottom, top) in the object plane; None where the instrument's geometry is not known.
+        provenance: Which cube, and how it was taken.
+        lines_planned: Lines of the plan.
+        spectra: Drawn at random; None if none were wanted.
+        regions: Mean spectra of the regions that were asked for.
+    """
+
+    colour: Floats32
+    true_colour: bool
+    colour_note: str
+    out_of_gamut: float
+    band: Floats32
+    band_name: str
+    quantity: str
+    band_quantity: str
+    wavelength_nm: Floats | None
+    missing: NDArray[np.bool_]
+    samples: int
+    extent_mm: tuple[float, float, float, float] | None
+    provenance: Provenance
+    lines_planned: int
+    spectra: Spectra | None = None
+    regions: tuple[RegionSpectrum, ...] = field(default=())
+
+
+def view(
+    cube: str | Path | xr.Dataset,
+    *,
+    band_nm: float = 803.0,
+    ratio_nm: float | None = None,
+    white: Region | None = None,
+    light: str | Illuminant = "D65",
+    spectra: int = 0,
+    seed: int = 0,
+    regions: Sequence[Region] = (),
+) -> View:
+    """Look at a cube. One pass over its shards, in bounded memory; spectra are read besides.
+
+    Args:
+        cube: Path or URL of a cube, finished or not, or the dataset of `open_cube`.
+        band_nm: Wavelength of the band picture; the nearest band there is. 803 nm shows veins (figure 14 of the paper).
+        ratio_nm: If given, the picture is the band over that at this wavelength.
+        white: Lines and samples where everything is white.
+        light: Illuminant that colours are seen under, or its name.
+        spectra: How many to draw at random.
+        seed: Of the drawing.
+        regions: Lines and samples whose mean spectrum is wanted.
+
+    Raises:
+        NotACube, CubeError: It cannot be read, holds no line yet, or none in ``white`` or a region; a ratio without wavelengths.
+        ConfigError: No such light.
+    """
+    light = illuminant(light) if isinstance(light, str) else light
+    dataset = cube if isinstance(cube, xr.Dataset) else open_cube(cube, chunks=None)
+    name = "the cube" if isinstance(cube, xr.Dataset) else str(cube)
+    missing = ~stored(dataset)
+    if missing.all():
+        raise CubeError(f"{name} holds no line: there is nothing to see.")
+    wavelength = wavelengths_of(dataset)
+    quantity = str(dataset["cube"].attrs.get("long_name", "")) if dataset["cube"].dtype.kind == "f" else "counts"
+    binning = (math.ceil(len(missing) / _LONGEST_SIDE), math.ceil(dataset.sizes["sample"] / _LONGEST_SIDE))
+    colouring = _Colouring.choose(
+        wavelength, dataset.sizes["band"], light, known=quantity == "reflectance" and not white
+    )
+    shown, band_name = _band(wavelength, dataset.sizes["band"], band_nm)
+    wanted: list[Reduce] = [colouring.reduce, Means.of(shown)]
+    if ratio_nm is not None:
+        if wavelength is None:
+            raise CubeError(f"{name} has no wavelengths to make a ratio of.")
+        below, below_name = _band(wavelength, len(wavelength), ratio_nm)
+        wanted.append(Means.of(below))
+        band_name = f"{band_name} / {below_name}"
+    planes = shrink(dataset, wanted, binning)
+    colour, note, beyond = colouring.paint(planes[0], white, binning, name)
+    return View(
+        colour=colour,
+        true_colour=colouring.weights is not None,
+        colour_note=note,
+        out_of_gamut=beyond,
+        band=planes[1][0] if ratio_nm is None else ratio_of(planes[1][0], planes[2][0]).astype(np.float32),
+        band_name=band_name,
+        quantity=quantity,
+        band_quantity=quantity if ratio_nm is None else "ratio",
+        wavelength_nm=wavelength,
+        missing=missing,
+        samples=dataset.sizes["sample"],
+        extent_mm=_extent_mm(dataset),
+        provenance=Provenance.of(dataset, names=(name,)),
+        lines_planned=int(dataset.attrs.get("lines_planned", len(missing))),
+        spectra=random_spectra(dataset, spectra, seed=seed) if spectra else None,
+        regions=tuple(region_spectrum(dataset, *region) for region in regions),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Colouring:
+    """How pixels become colours.
+
+    Attributes:
+        reduce: What is read: XYZ itself where the numbers are reflectance; else groups of bands, for which black and white are
+            found. Colour does not need less than some 10 nm, and groups keep the spectra of a picture small.
+        weights: Of the groups in XYZ, (groups, 3); None for false colours.
+        light: That they are seen under.
+        known: Whether the numbers are reflectance.
+    """
+
+    reduce: Reduce
+    weights: Floats | None
+    light: Illuminant
+    known: bool
+
+    @classmethod
+    def choose(cls, wavelength: Floats | None, bands: int, light: Illuminant, *, known: bool) -> _Colouring:
+        if wavelength is None or wavelength.min() > _NEEDED_NM[0] or wavelength.max() < _NEEDED_NM[1]:
+            thirds = np.unique(np.linspace(0, bands, 4).astype(np.intp))
+            return cls(Means(thirds), None, light, known)
+        visible = np.flatnonzero((wavelength >= VISIBLE_NM[0]) & (wavelength <= VISIBLE_NM[1]))
+        first, stop = int(visible[0]), int(visible[-1]) + 1
+        if known:
+            weights = colours.xyz_matrix(wavelength[first:stop], light)
+            return cls(Weighted(slice(first, stop), weights.T.astype(np.float32)), weights, light, known)
+        number = np.floor(np.abs(wavelength[first:stop] - wavelength[first]) / _GROUP_NM)
+        edges = np.append(first + np.flatnonzero(np.diff(number, prepend=-1.0)), stop)
+        centres = np.add.reduceat(wavelength[:stop], edges[:-1]) / np.diff(edges)
+        return cls(Means(edges), colours.xyz_matrix(centres, light), light, known)
+
+    def paint(
+        self, planes: Floats32, white: Region | None, binning: tuple[int, int], name: str
+    ) -> tuple[Floats32, str, float]:
+        """sRGB (rows, columns, 3), how it was made, and the part of it that is out of gamut."""
+        if self.known:
+            black, reference, note = np.zeros(len(planes)), np.ones(len(planes)), "of the reflectance"
+        else:
+            black, reference, note = _references(planes, white, binning, name)
+        span = np.maximum(reference - black, 1e-3)
+        if self.weights is None:
+            groups = (-1, len(planes) // 2, 0)
+            thirds = [np.clip((planes[group] - black[group]) / span[group], 0, 1) for group in groups]
+            picture = np.stack(thirds, axis=-1) ** (1 / 2.2)
+            return picture.astype(np.float32), f"false colour: thirds of the bands; {note}", 0.0
+        if self.known:
+            xyz = np.moveaxis(planes, 0, -1).astype(np.float64)
+        else:
+            weights = self.weights / span[:, None]  # reflectance is (counts - black) / span
+            xyz = np.tensordot(planes, weights, axes=(0, 0)) - black @ weights
+        linear = colours.xyz_to_linear(xyz, self.weights.sum(axis=0))
+        known = np.isfinite(linear).all(axis=-1)
+        beyond = float(colours.out_of_gamut(linear[known]).mean()) if known.any() else 0.0
+        picture = colours.encode(colours.into_gamut(linear)).astype(np.float32)
+        return picture, f"CIE 1931, {self.light.name}; {note}", beyond
+
+
+def _band(wavelength: Floats | None, bands: int, nm: float) -> tuple[slice, str]:
+    """The band nearest to a wavelength with its neighbours, and what to call it."""
+    if wavelength is None:
+        index = bands * 3 // 4
+        return slice(index, index + 1), f"band {index} of {bands}"
+    nearest = float(wavelength[np.abs(wavelength - nm).argmin()])
+    name = f"{nearest:.0f} nm" if abs(nearest - nm) < _GROUP_NM else f"{nearest:.0f} nm (nearest to {nm:g} nm)"
+    return bands_near(wavelength, nm), name
+
+
+def _references(
+    spectra: Floats32, white: Region | None, binning: tuple[int, int], name: str
+) -> tuple[Floats, Floats, str]:
+    """Black and white level of each group, and in words where they come from."""
+    known = [values[np.isfinite(values)] for values in spectra]
+    empty = (np.nan, np.nan)
+    levels = np.array([np.percentile(values, _PERCENTILES) if values.size else empty for values in known])
+    black, brightest = levels.T
+    if white is None:
+        return black, brightest, "assumed: darkest 1 % black, brightest 0.5 % white"
+    place = tuple(
+        slice((region.start or 0) // size, None if region.stop is None else -(-region.stop // size))
+        for region, size in zip(white, binning, strict=True)
+    )
+    patch = spectra[(slice(None), *place)]
+    seen = np.isfinite(patch).all(axis=0)
+    if not seen.any():
+        raise CubeError(f"{name} has no stored line in the white region.")
+    return black, patch[:, seen].mean(axis=1, dtype=np.float64), "white as given; assumed: darkest 1 % black"
+
+
+def _extent_mm(dataset: xr.Dataset) -> tuple[float, float, float, float] | None:
+    """Where the picture lies in the object plane: as the cube's own coordinates say, else y = -r tan(2 angle), Eqs. 8 and 12."""
+    if "x" in dataset.coords and "y" in dataset.coords and min(dataset["x"].size, dataset["y"].size) > 1:
+        (left, right), (top, bottom) = (_edges(np.asarray(dataset[name].values, np.float64)) for name in "xy")
+        return left, right, bottom, top
+    instrument = cast("dict[str, Any]", dataset.attrs.get("instrument") or {})
+    geometry = cast("dict[str, Any]", instrument.get("geometry") or {})
+    pitch_m, distance_m = geometry.get("sample_pitch_m"), geometry.get("distance_m")
+    angles = np.asarray(dataset["mirror_angle_rad"].values) if "mirror_angle_rad" in dataset else np.zeros(0)
+    angles = angles[np.isfinite(angles)]
+    if not pitch_m or not distance_m or len(angles) < 2 or angles[0] == angles[-1]:
+        return None
+    top, bottom = (-1e3 * distance_m * math.tan(2 * float(angle)) for angle in (angles[0], angles[-1]))
+    binned = cast("dict[str, Any]", dataset.attrs.get("binning") or {}).get("samples", 1)
+    half = 0.5e3 * pitch_m * binned * dataset.sizes["sample"]
+    return -half, half, bottom, top
+
+
+def _edges(centres: Floats) -> tuple[float, float]:
+    half = float(centres[-1] - centres[0]) / (len(centres) - 1) / 2
+    return float(centres[0]) - half, float(centres[-1]) + half
