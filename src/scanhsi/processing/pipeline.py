@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from scanhsi.processing.banded import AlongBands, Banded
+from scanhsi.processing.functions import Bound, Masked, Values, same
+from scanhsi.processing.kernel import Kernel
 from scanhsi.processing.signal import Signal
-from scanhsi.processing.steps import Bound, Step, Values
+from scanhsi.processing.steps import Step
 
-_BLOCK_BYTES = (
-    8_000_000  # raw; some lines at a time, so that what the steps pass on stays in the processor's cache's reach
-)
+_BLOCK_BYTES: Final = 8_000_000  # raw: some lines at a time, so that what the steps pass on stays in the cache
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Pipeline:
         input: What goes in.
         steps: In order.
         output: What comes out.
+        functions: What is computed, in order: fewer than steps where several became one.
 
     Raises:
         CalibrationError: A step does not fit what it gets.
@@ -32,15 +34,16 @@ class Pipeline:
     input: Signal
     steps: Sequence[Step]
     output: Signal = field(init=False)
-    _bound: list[Bound] = field(init=False, repr=False)
+    functions: list[Bound] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        signal, bound = self.input, list[Bound]()
+        signal, bound = self.input, list[tuple[Signal, Bound]]()
         for step in self.steps:
-            signal, function = step.bind(signal)
-            bound.append(function)
+            taken = signal
+            signal, function = step.bind(taken)
+            bound.append((taken, function))
         object.__setattr__(self, "output", signal)
-        object.__setattr__(self, "_bound", bound)
+        object.__setattr__(self, "functions", fused(bound))
 
     def __call__(self, lines: Values) -> Values:
         """Process some whole lines.
@@ -53,13 +56,15 @@ class Pipeline:
         """
         if lines.ndim == 2:
             return self(lines[:, None, :])[:, 0, :]
+        if len(self.functions) == 1 and isinstance(self.functions[0], Kernel):
+            return self.functions[0](lines)
         bands, count, samples = lines.shape
         out = np.empty((self.output.bands, count, self.output.samples), self.output.dtype)
         at_once = max(1, _BLOCK_BYTES // (bands * samples * lines.dtype.itemsize))
         for first in range(0, count, at_once):
             some = slice(first, first + at_once)
             values = lines[:, some]
-            for function in self._bound:
+            for function in self.functions:
                 values = function(values)
             out[:, some] = values
         return out
@@ -67,3 +72,43 @@ class Pipeline:
     def describe(self) -> list[dict[str, Any]]:
         """The steps with their parameters and sources, for the provenance of what comes out."""
         return [{"step": step.name, **step.describe()} for step in self.steps]
+
+
+def fused(bound: Sequence[tuple[Signal, Bound]]) -> list[Bound]:
+    """Functions, each with what it takes, that come to the same with fewer passes over the lines.
+
+    A run of sums along the bands becomes one, with the masking of what is saturated if the run begins with it.
+    """
+    made, run = list[Bound](), _Run()
+    for signal, function in bound:
+        if function is same:
+            continue
+        if isinstance(function, Masked):
+            made += run.end()
+            run = _Run(function)
+            continue
+        sums = _sums(function, signal)
+        if sums is not None:
+            run.banded = sums if run.banded is None else sums.after(run.banded)
+        else:
+            made += [*run.end(), function]
+            run = _Run()
+    return [*made, *run.end()]
+
+
+@dataclass
+class _Run:
+    """Functions that become one: first perhaps a mask, then sums."""
+
+    mask: Masked | None = None
+    banded: Banded | None = None
+
+    def end(self) -> list[Bound]:
+        """What they come to."""
+        if self.banded is not None:
+            return [Kernel(self.banded, self.mask.level if self.mask else np.inf)]
+        return [self.mask] if self.mask else []
+
+
+def _sums(function: Bound, signal: Signal) -> Banded | None:
+    return function.banded(signal.bands, signal.samples) if isinstance(function, AlongBands) else None

@@ -6,12 +6,15 @@ weights of neighbours, worked out once. A pixel that is not known spoils what ta
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from scanhsi.processing.banded import Banded
 
 Floats = NDArray[np.float64]
 Axis = Literal["band", "sample"]
@@ -45,18 +48,31 @@ class Mover:
         along = 0 if axis == "band" else 1
         size = shift.shape[along]
         own: NDArray[np.intp] = np.arange(size, dtype=np.intp)
-        own = own[:, None] if axis == "band" else own[None, :]
-        place = shift + own
+        self._own = own[:, None] if axis == "band" else own[None, :]
+        place = shift + self._own
         inside = (place >= -_NEGLIGIBLE) & (place <= size - 1 + _NEGLIGIBLE)
         base = np.clip(np.floor(place), 0, size - 2).astype(np.intp)
         share = np.clip(place - base, 0, 1)
         share[share < _NEGLIGIBLE] = 0
         scale = 1 + np.gradient(shift, axis=along) if conserve else np.ones_like(shift)
+        edge = (base == 0) | (base == size - 2) if kind == "cubic" else np.ones(base.shape, bool)
         self._along = along
         self._outside = ~inside
-        whole = base - own
-        edge = (base == 0) | (base == size - 2) if kind == "cubic" else np.ones(base.shape, bool)
-        self._taps = list(_taps(whole, share, edge, np.where(inside, scale, 0.0)))
+        self._base = base
+        self._weights = [weight * np.where(inside, scale, 0.0) for weight in _weights(share, edge)]
+
+    @functools.cached_property
+    def _taps(self) -> list[_Tap]:
+        return list(_taps(self._base - self._own, self._weights))
+
+    def banded(self, bands: int, samples: int) -> Banded | None:
+        """As a sum along the bands; None if it moves along the samples."""
+        del samples
+        if self._along:
+            return None
+        weight = np.stack(self._weights)
+        offset = np.where(self._outside, np.nan, 0.0)
+        return Banded(bands, self._base - 1, weight, weight != 0, offset)
 
     def __call__(self, lines: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Move some lines, (band, line, sample); nan where a neighbour is not known, and beyond the sensor."""
@@ -91,15 +107,13 @@ class Mover:
             out[there[0][hit], line[hit], there[1][hit]] = np.nan
 
 
-def _taps(whole: NDArray[np.intp], share: Floats, edge: NDArray[np.bool_], scale: Floats) -> Iterator[_Tap]:
+def _taps(whole: NDArray[np.intp], weights: Sequence[Floats]) -> Iterator[_Tap]:
     """The neighbours, each cut to the runs of samples where it counts, so that little is multiplied by nothing."""
-    weights = _weights(share, edge)
     for offset in range(int(whole.min()) - 1, int(whole.max()) + 3):
-        weight = np.zeros(share.shape)
+        weight = np.zeros(whole.shape)
         for index, value in enumerate(weights):
             here = whole + index - 1 == offset
             weight[here] = value[here]
-        weight *= scale
         used = (weight != 0).any(axis=0)
         for first, last in _runs(used):
             rows = np.flatnonzero((weight[:, first:last] != 0).any(axis=1))

@@ -13,9 +13,9 @@ from scanhsi.calibration.result import Provenance
 from scanhsi.calibration.smile import Smile
 from scanhsi.calibration.wavelength import Wavelength
 from scanhsi.devices.errors import CalibrationError
+from scanhsi.processing.functions import Bound, same
 from scanhsi.processing.resample import Kind, Mover
 from scanhsi.processing.signal import Signal
-from scanhsi.processing.steps import Bound, Values
 
 _FLOAT: Final = np.dtype(np.float32)
 
@@ -44,20 +44,16 @@ class AssignWavelength:
         if signal.wavelength_map_nm is not None and self.smile is None:
             signal = replace(signal, wavelength_map_nm=None)
         if self.smile is None:
-            return replace(signal, wavelength_nm=self.wavelength.nm()), _same
+            return replace(signal, wavelength_nm=self.wavelength.nm()), same
         _check_fits(signal, self.smile.bands, self.smile.samples, self.smile.provenance, "smile calibration")
         pixels = self.smile.wavelength_map(self.wavelength)
-        return replace(signal, wavelength_nm=self.wavelength.nm(), wavelength_map_nm=pixels), _same
+        return replace(signal, wavelength_nm=self.wavelength.nm(), wavelength_map_nm=pixels), same
 
     def describe(self) -> dict[str, Any]:
         """Sources, and the polynomial."""
         smile = {} if self.smile is None else {"smile": list(self.smile.provenance.sources)}
         coefficients = self.wavelength.coefficients.tolist()
         return {"source": list(self.wavelength.provenance.sources), "coefficients_nm": coefficients, **smile}
-
-
-def _same(lines: Values) -> Values:
-    return lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,20 +7,15 @@ be known is nan from where it arises to the end: a saturated pixel never turns i
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scanhsi.calibration.reference import ModelledDark, Reference
 from scanhsi.devices.errors import CalibrationError
+from scanhsi.processing.functions import Bound, Masked, Means, Scaled, Subtracted, Values, means
 from scanhsi.processing.signal import Signal
-
-Values = NDArray[Any]
-Bound = Callable[[Values], Values]
 
 _FLOAT: Final = np.dtype(np.float32)
 
@@ -67,17 +62,11 @@ class MaskSaturated:
         if signal.units != "counts":
             raise CalibrationError(f"only raw counts saturate; this is {signal.long_name}.")
         level = self.level if self.level is not None else signal.saturation
-        return replace(signal, dtype=_FLOAT, saturation=None), partial(_mask, np.inf if level is None else level)
+        return replace(signal, dtype=_FLOAT, saturation=None), Masked(np.inf if level is None else level)
 
     def describe(self) -> dict[str, Any]:
         """The level."""
         return {"level": self.level}
-
-
-def _mask(level: float, lines: Values) -> Values:
-    values = lines.astype(_FLOAT)
-    values[lines >= level] = np.nan
-    return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,15 +85,11 @@ class SubtractDark:
         dark = _dark_at(self.dark, signal.conditions.exposure_s)
         _check_fits(dark, signal, "dark reference", exposure=True)
         corrected = replace(signal, dtype=_FLOAT, long_name="dark-corrected counts")
-        return corrected, partial(_subtract, dark.mean[:, None, :])
+        return corrected, Subtracted(dark.mean)
 
     def describe(self) -> dict[str, Any]:
         """The reference."""
         return _described(self.dark)
-
-
-def _subtract(dark: Values, lines: Values) -> Values:
-    return np.subtract(lines, dark, dtype=_FLOAT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,22 +123,18 @@ class Reflectance:
         if not 0 < self.tile <= 1.5:
             raise CalibrationError(f"a tile cannot have a reflectance of {self.tile:g}.")
         factor = self._factor(signal.conditions.exposure_s, dark)
-        return replace(signal, dtype=_FLOAT, units="1", long_name="reflectance"), partial(_scale, factor)
+        return replace(signal, dtype=_FLOAT, units="1", long_name="reflectance"), Scaled(factor)
 
     def _factor(self, exposure_s: float | None, dark: Reference) -> Values:
-        """Reflectance of one dark-corrected count, (band, 1, sample) float32."""
+        """Reflectance of one dark-corrected count, (band, sample) float32; nan where the tile gave no light."""
         white_s = self.white.conditions.exposure_s
         ratio = white_s / exposure_s if white_s is not None and exposure_s is not None else 1.0
-        light = (self.white.mean - dark.mean)[:, None, :]
+        light = self.white.mean - dark.mean
         return np.divide(_FLOAT.type(self.tile * ratio), light, out=np.full_like(light, np.nan), where=light > 0)
 
     def describe(self) -> dict[str, Any]:
         """References and tile."""
         return {"white": self.white.describe(), "dark": _described(self.dark), "tile": self.tile}
-
-
-def _scale(factor: Values, lines: Values) -> Values:
-    return lines * factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,21 +160,14 @@ class BinBands:
             signal,
             bands=-(-signal.bands // self.rows),
             dtype=_FLOAT,
-            wavelength_nm=None if wavelength is None else _means(self.rows, wavelength),
-            wavelength_map_nm=None if pixels is None else _means(self.rows, pixels),
+            wavelength_nm=None if wavelength is None else means(self.rows, wavelength),
+            wavelength_map_nm=None if pixels is None else means(self.rows, pixels),
         )
-        return binned, partial(_means, self.rows)
+        return binned, Means(self.rows)
 
     def describe(self) -> dict[str, Any]:
         """How many."""
         return {"rows": self.rows}
-
-
-def _means(rows: int, values: Values) -> Values:
-    starts = np.arange(0, len(values), rows)
-    counts = np.diff(np.append(starts, len(values))).reshape(-1, *[1] * (values.ndim - 1))
-    means = np.add.reduceat(values, starts, axis=0) / counts
-    return means.astype(values.dtype if values.dtype.kind == "f" else _FLOAT, copy=False)
 
 
 def _dark_at(dark: Reference | ModelledDark, exposure_s: float | None) -> Reference:
