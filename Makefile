@@ -33,7 +33,7 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	@rm -rf $(OUT)/hand.zarr && mkdir -p $(OUT)
 	$(BIN)/scanhsi scan sensors2019 -o $(OUT)/hand.zarr
 	$(BIN)/scanhsi info $(OUT)/hand.zarr
-	$(BIN)/scanhsi quicklook $(OUT)/hand.zarr -o $(OUT)/hand.png
+	$(BIN)/scanhsi view $(OUT)/hand.zarr -o $(OUT)/hand.png
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
 test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
