@@ -29,6 +29,7 @@ _LEAST_WINDOW: Final = 16
 _SHARPEST: Final = 0.25  # samples: standard error of a place that is of use
 _REACH: Final = 3.0  # samples a piece may be moved
 _STRUCTURE: Final = 5.0  # standard deviations of the noise: a piece that varies less shows nothing
+_EVEN: Final = 1e-6  # of the level: what varies less does not vary
 _NO_STRUCTURE: Final = "no structure along the slit can be followed over the bands."
 _FLOOR: Final = 0.005  # samples that a place is never better than
 _OUTLYING: Final = 5.0
@@ -109,7 +110,7 @@ def fit_keystone(frame: NDArray[Any], provenance: Provenance) -> Keystone:
     reference = cast("Floats", values[centre].mean(axis=0))
     if not np.isfinite(reference).all():
         raise CalibrationError("the middle bands are saturated.", hint="a shorter exposure")
-    noise = noise_of(reference)
+    noise = max(noise_of(reference), _EVEN * float(np.abs(reference).max()))
     windows = [window for window in _windows(samples) if _structure(reference[window]) > _STRUCTURE * noise]
     if not windows:
         raise CalibrationError(_NO_STRUCTURE, hint="lay a grid or an edge across the slit")

@@ -98,6 +98,8 @@ def _check(time_s: Floats, level: Floats) -> None:
         raise CalibrationError("the times of the snapshots do not rise.")
     if not level.mean() > 0:
         raise CalibrationError("there is no light in the snapshots.")
+    if np.ptp(level) == 0:
+        raise CalibrationError("the snapshots do not differ at all: saturated, or all the same one.")
 
 
 def _settle(time_s: Floats, level: Floats) -> tuple[tuple[float, float, float, float, float], Floats]:

@@ -210,12 +210,14 @@ def bar_contrast(
         threshold: Contrast that counts as resolved.
 
     Raises:
-        CalibrationError: No elements, one smaller than two periods, or values that are no numbers.
+        CalibrationError: No elements, one smaller than two periods, values that are no numbers, or nothing that varies.
     """
     if not elements:
         raise CalibrationError("there are no elements of bars.")
     ordered = sorted(elements, key=lambda element: -element[0])
     profiles = [(width, _profile(part, axis, width, pitch_mm)) for width, part in ordered]
+    if all(np.ptp(profile) == 0 for _, profile in profiles):
+        raise CalibrationError("nothing varies over the bars: saturated, or no light.")
     top = white if white is not None else max(float(profile.max()) for _, profile in profiles)
     if not top > black:
         raise CalibrationError(f"white ({top:g}) is not brighter than black ({black:g}).")

@@ -55,7 +55,7 @@ def signal_to_noise(captures: dict[float, NDArray[Any]], provenance: Provenance)
         provenance: Where they come from.
 
     Raises:
-        CalibrationError: Fewer than three lines at an exposure, or sizes that differ.
+        CalibrationError: Fewer than three lines at an exposure, sizes that differ, or neither light nor noise.
     """
     if not captures:
         raise CalibrationError("there is nothing to work a signal to noise ratio out from.")
@@ -93,7 +93,7 @@ def signal_to_noise_of(moments: dict[float, Moments], provenance: Provenance) ->
         provenance: Where they come from.
 
     Raises:
-        CalibrationError: Nothing is given, fewer than three lines at an exposure, or sizes that differ.
+        CalibrationError: Nothing is given, fewer than three lines at an exposure, sizes that differ, or neither light nor noise.
     """
     exposures = sorted(moments)
     if not exposures or len({moments[exposure].mean.shape for exposure in exposures}) > 1:
@@ -102,11 +102,16 @@ def signal_to_noise_of(moments: dict[float, Moments], provenance: Provenance) ->
         raise CalibrationError(f"fewer than three lines show no noise: at {', '.join(few)}; take 20.")
     columns = [_ratios(moments[exposure]) for exposure in exposures]
     snr, paper, spatial = (np.stack(column) for column in zip(*columns, strict=True))
+    if not np.isfinite(snr).any():
+        raise CalibrationError(
+            "no band shows both light and noise.", hint="is it lit, and not saturated? were the frames averaged before?"
+        )
     lines = np.array([moments[exposure].lines for exposure in exposures], np.int64)
     return SignalToNoise(np.array(exposures), snr, paper, spatial, lines, provenance)
 
 
 def _moments(values: Floats) -> Moments:
+    values = np.where(np.isfinite(values), values, np.nan)
     return Moments(values.mean(axis=1), values.std(axis=1, ddof=1), values.shape[1])
 
 

@@ -74,6 +74,8 @@ def white_reference(white: FrameStack, dark: Reference, provenance: Provenance, 
         raise CalibrationError(f"white frames of {white.mean.shape} and dark ones of {dark.mean.shape} do not fit.")
     if white.lines < 2:
         raise CalibrationError(f"{white.source} holds a single line, which tells no noise; take 20.")
+    if not np.isfinite(white.mean).all():
+        raise CalibrationError(f"{white.source} holds values that are no numbers.")
     if not 0 < tile <= 1.5:
         raise CalibrationError(f"a tile cannot have a reflectance of {tile:g}.")
     if white.saturated.mean() > 0.5:
