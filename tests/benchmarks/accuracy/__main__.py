@@ -13,7 +13,7 @@ import time
 
 from rows import markdown
 
-PARTS = ("sensor", "wavelength", "mirror")
+PARTS = ("sensor", "emva", "wavelength", "mirror")
 
 
 def main() -> int:
