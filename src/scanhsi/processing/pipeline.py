@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -25,7 +26,6 @@ class Pipeline:
         input: What goes in.
         steps: In order.
         output: What comes out.
-        functions: What is computed, in order: fewer than steps where several became one.
 
     Raises:
         CalibrationError: A step does not fit what it gets.
@@ -34,7 +34,7 @@ class Pipeline:
     input: Signal
     steps: Sequence[Step]
     output: Signal = field(init=False)
-    functions: list[Bound] = field(init=False, repr=False)
+    _bound: list[tuple[Signal, Bound]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         signal, bound = self.input, list[tuple[Signal, Bound]]()
@@ -43,7 +43,12 @@ class Pipeline:
             signal, function = step.bind(taken)
             bound.append((taken, function))
         object.__setattr__(self, "output", signal)
-        object.__setattr__(self, "functions", fused(bound))
+        object.__setattr__(self, "_bound", bound)
+
+    @functools.cached_property
+    def functions(self) -> list[Bound]:
+        """What is computed, in order: fewer than steps where several became one. Worked out when first used."""
+        return fused(self._bound)
 
     def __call__(self, lines: Values) -> Values:
         """Process some whole lines.

@@ -12,6 +12,7 @@ from scanhsi.cube.layout import WAVELENGTH_MAP_ATTRIBUTES, Coordinate, CubeSpec,
 from scanhsi.cube.rewrite import Progress, Rewriting, attributes_of, coordinates_of, open_source
 from scanhsi.cube.shards import Codec
 from scanhsi.processing.pipeline import Pipeline
+from scanhsi.processing.saturated import Tops, plateau_in
 from scanhsi.processing.signal import Signal
 from scanhsi.processing.steps import Step
 
@@ -36,7 +37,8 @@ def process(
     """Process a cube into a new one.
 
     The new cube has the lines, records and attributes of the old one, and says in ``processing`` what was done, with what. Its
-    pixels are float32; nan is what cannot be known. Memory is a few shards a thread, whatever the size of the cube.
+    pixels are float32; nan is what cannot be known. Memory is a few shards a thread, whatever the size of the cube. Where
+    `MaskSaturated` comes first and without a level, a plateau below full scale is found and masked; ``saturation`` tells.
 
     Args:
         cube: Path or URL of the cube.
@@ -57,23 +59,42 @@ def process(
         CalibrationError: A step does not fit the cube; nothing was written.
         NotACube, CubeExists, CubeError: A cube cannot be read or written.
     """
-    source = open_source(cube, storage_options)
-    pipeline = Pipeline(Signal.of(source), steps)
-    spec = _spec(source, pipeline, str(cube))
-    shards = source["cube"].encoding.get("shards") or source["cube"].encoding["chunks"]
-    rewriting = Rewriting(
-        source,
-        Path(output),
-        spec,
-        choose_layout(spec, min(shards[1], _MANY_LINES)),
-        codec,
-        compute=pipeline,
-    )
+    rewriting, pipeline = work_of(open_source(cube, storage_options), str(cube), Path(output), steps, codec)
     rewriting.run(client=client, threads=threads, resume=resume, progress=progress)
     return pipeline
 
 
-def _spec(source: xr.Dataset, pipeline: Pipeline, name: str) -> CubeSpec:
+def work_of(
+    source: xr.Dataset, name: str, output: Path, steps: Sequence[Step], codec: Codec, *, lines: int | None = None
+) -> tuple[Rewriting, Pipeline]:
+    """What is to be done for `process`, and the pipeline that it is done with.
+
+    Args:
+        source: The cube, opened without dask.
+        name: Of the cube, for the provenance.
+        output: Folder of the new cube.
+        steps: What to do, in order.
+        codec: Of the new cube.
+        lines: Of the new cube; as many as the source has by default.
+    """
+    pipeline = Pipeline(Signal.of(source), steps)
+    spec = _spec(source, pipeline, name, lines or source.sizes["line"])
+    shards = source["cube"].encoding.get("shards") or source["cube"].encoding["chunks"]
+    plateau = plateau_in(pipeline.input, steps)
+    rewriting = Rewriting(
+        source,
+        output,
+        spec,
+        choose_layout(spec, min(shards[1], _MANY_LINES)),
+        codec,
+        compute=pipeline,
+        inspect=None if plateau is None else Tops(plateau.full_scale),
+        review=plateau,
+    )
+    return rewriting, pipeline
+
+
+def _spec(source: xr.Dataset, pipeline: Pipeline, name: str, lines: int) -> CubeSpec:
     signal, attributes = pipeline.output, attributes_of(source)
     coordinates = coordinates_of(source, but=("wavelength_map",))
     if signal.wavelength_map_nm is not None:
@@ -81,7 +102,7 @@ def _spec(source: xr.Dataset, pipeline: Pipeline, name: str) -> CubeSpec:
         coordinates = (*coordinates, pixels)
     done = attributes.get("processing", [])
     return CubeSpec(
-        lines=source.sizes["line"],
+        lines=lines,
         bands=signal.bands,
         samples=signal.samples,
         dtype=signal.dtype,
