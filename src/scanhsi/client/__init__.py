@@ -1,0 +1,1 @@
+"""A remote instrument, operated as a local one; needs the extra ``web``."""

@@ -1,0 +1,110 @@
+"""Scans, calibrations, auto-exposure: jobs, and what can be done with one."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path
+from pydantic import Field
+
+from scanhsi.service.models import Body, JobModel, Name, ScanBody
+from scanhsi.service.routes.common import IN_CONTROL, StationHere, problems
+from scanhsi.service.work import Calibration, auto_exposure_job, calibration_job, plan_for, scan_job
+
+router = APIRouter()
+JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{1,32}$", description="Id of the job.", examples=["3f9c1a2b4d5e"])]
+
+
+class CalibrationBody(Body):
+    """A calibration to be made."""
+
+    kind: Calibration
+    output: Name | None = Field(default=None, description="File of the result; a name with date and time if left out.")
+    frames: int | None = Field(default=None, ge=2, le=1000, description="Frames to average, where the protocol does.")
+    exposure_s: float | None = Field(default=None, gt=0, description="Found by auto-exposure if left out.")
+
+    def options(self) -> dict[str, Any]:
+        """Options of the protocol."""
+        given = {"frames": self.frames, "exposure_s": self.exposure_s}
+        return {name: value for name, value in given.items() if value is not None and name in _TAKES[self.kind]}
+
+
+_TAKES: dict[str, frozenset[str]] = {
+    "dark": frozenset({"frames"}),
+    "white": frozenset({"frames", "exposure_s"}),
+    "photon_transfer": frozenset(),
+    "snr": frozenset({"frames"}),
+    "light": frozenset({"frames", "exposure_s"}),
+    "geometry": frozenset({"exposure_s"}),
+    "jitter": frozenset({"exposure_s"}),
+    "resolution": frozenset({"exposure_s"}),
+    "wavelength": frozenset({"frames", "exposure_s"}),
+}
+
+
+class AutoExposureBody(Body):
+    """How bright the white tile is to be."""
+
+    target: float = Field(default=0.85, ge=0.05, le=0.98, description="Of the brightest pixels, share of full scale.")
+
+
+@router.post("/scans", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409, 503, 504))
+async def start_scan(station: StationHere, body: ScanBody) -> JobModel:
+    """Scan. Answers at once; the job tells how far it is."""
+    plan = plan_for(station, body.plan.given())
+    job = scan_job(station, plan, body.output, discard=body.discard, target=body.target, real_time=body.real_time)
+    return JobModel.of(job)
+
+
+@router.post("/calibrations", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409))
+async def start_calibration(station: StationHere, body: CalibrationBody) -> JobModel:
+    """Calibrate. Where a person has to put something before the instrument, the job waits until that is confirmed."""
+    return JobModel.of(calibration_job(station, body.kind, body.output, body.options()))
+
+
+@router.post("/auto-exposure", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409))
+async def start_auto_exposure(station: StationHere, body: AutoExposureBody) -> JobModel:
+    """Find the exposure of what is before the instrument, a white tile, and set it."""
+    return JobModel.of(auto_exposure_job(station, body.target))
+
+
+@router.get("/jobs", tags=["jobs"], responses=problems())
+async def list_jobs(station: StationHere) -> list[JobModel]:
+    """The last jobs, the youngest first."""
+    return [JobModel.of(job) for job in station.jobs.all()]
+
+
+@router.get("/jobs/{id}", tags=["jobs"], responses=problems(404))
+async def get_job(station: StationHere, id: JobId) -> JobModel:
+    """One job."""
+    return JobModel.of(station.jobs.get(id))
+
+
+@router.post("/jobs/{id}/pause", tags=["jobs"], dependencies=[IN_CONTROL], responses=problems(404, 409))
+async def pause_job(station: StationHere, id: JobId) -> JobModel:
+    """Hold a scan after the line under way."""
+    return JobModel.of(station.jobs.pause(id))
+
+
+@router.post("/jobs/{id}/resume", tags=["jobs"], dependencies=[IN_CONTROL], responses=problems(404, 409))
+async def resume_job(station: StationHere, id: JobId) -> JobModel:
+    """Go on with a scan that was paused."""
+    return JobModel.of(station.jobs.resume(id))
+
+
+@router.post("/jobs/{id}/finish", tags=["jobs"], dependencies=[IN_CONTROL], responses=problems(404, 409))
+async def finish_job(station: StationHere, id: JobId) -> JobModel:
+    """End a scan after the line under way; its cube is valid and shorter."""
+    return JobModel.of(station.jobs.finish(id))
+
+
+@router.post("/jobs/{id}/cancel", tags=["jobs"], dependencies=[IN_CONTROL], responses=problems(404, 409))
+async def cancel_job(station: StationHere, id: JobId) -> JobModel:
+    """End a job at once; what was stored is safe."""
+    return JobModel.of(station.jobs.cancel(id))
+
+
+@router.post("/jobs/{id}/confirm", tags=["jobs"], dependencies=[IN_CONTROL], responses=problems(404, 409))
+async def confirm_job(station: StationHere, id: JobId) -> JobModel:
+    """What the job waited for is done: the tile is in place, the lamp is on."""
+    return JobModel.of(station.jobs.confirm(id))

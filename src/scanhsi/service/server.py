@@ -1,0 +1,120 @@
+"""Runs the service on the loop of the scan, with uvicorn."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import socket
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import uvicorn
+
+from scanhsi.devices.errors import ConfigError
+from scanhsi.imager import open_instrument
+from scanhsi.instrument import InstrumentConfig
+from scanhsi.service.app import create_app
+from scanhsi.service.security import LARGEST_BODY, Security
+from scanhsi.service.station import open_station
+
+
+@dataclass(frozen=True, slots=True)
+class Serving:
+    """How the service is reached.
+
+    Attributes:
+        host: Address to listen on.
+        port: 0 takes a free one.
+        security: What is asked of those who connect.
+        certificate: TLS certificate, PEM.
+        key: Its key, PEM.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+    security: Security = field(default_factory=Security)
+    certificate: Path | None = None
+    key: Path | None = None
+
+
+class _Server(uvicorn.Server):
+    """uvicorn, leaving signals to us."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Generator[None]:
+        yield
+
+
+async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, told: Callable[[str], None]) -> None:
+    """Open the instrument and serve it until SIGINT or SIGTERM.
+
+    What is under way is then cancelled, which leaves valid cubes and a mirror at rest.
+
+    Args:
+        config: Of the instrument.
+        folder: Data folder.
+        serving: How it is reached.
+        told: Called with the address once it listens.
+
+    Raises:
+        ConfigError: The address cannot be listened on.
+        DeviceError: A device cannot be connected.
+    """
+    listening = _listen(serving)
+    scheme = "http" if serving.certificate is None else "https"
+    host, port = listening.getsockname()[:2]
+    async with open_instrument(config) as imager, open_station(imager, folder) as station:
+        server = _Server(
+            uvicorn.Config(
+                create_app(station, serving.security),
+                ws="websockets-sansio",
+                ws_per_message_deflate=False,  # pixels would cost more time than they save bytes
+                ws_max_size=LARGEST_BODY,
+                ws_ping_interval=20.0,
+                access_log=False,
+                log_config=None,
+                lifespan="off",
+                server_header=False,
+                timeout_keep_alive=30,
+                timeout_graceful_shutdown=3,
+                ssl_certfile=serving.certificate,
+                ssl_keyfile=serving.key,
+            )
+        )
+        with _ended_by_signals(server):
+            told(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}")
+            await server.serve(sockets=[listening])
+
+
+def _listen(serving: Serving) -> socket.socket:
+    family = socket.AF_INET6 if ":" in serving.host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((serving.host, serving.port))
+        listening.listen(128)
+    except OSError as error:
+        listening.close()
+        raise ConfigError(
+            f"cannot listen on {serving.host}, port {serving.port}: {error.strerror or error}.", hint="--port 0"
+        ) from error
+    return listening
+
+
+@contextlib.contextmanager
+def _ended_by_signals(server: uvicorn.Server) -> Generator[None]:
+    loop = asyncio.get_running_loop()
+
+    def end() -> None:
+        server.force_exit = server.should_exit
+        server.should_exit = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end)
+    try:
+        yield
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)

@@ -1,0 +1,192 @@
+"""The work of jobs: each calls the Python interface as a script would."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+
+from scanhsi.calibration.result import Result
+from scanhsi.characterise.aids import auto_exposure
+from scanhsi.characterise.spec_rows import Row, result_rows
+from scanhsi.characterise.station import Target
+from scanhsi.clock import RealTime
+from scanhsi.cube.records import NOT_STAMPED, LineRecords
+from scanhsi.devices.errors import ConfigError
+from scanhsi.devices.frames import Pixels
+from scanhsi.engine import Progress, ScanPlan
+from scanhsi.service.jobs import Job, plain
+from scanhsi.service.station import Station
+from scanhsi.timing.observed import deliveries
+from scanhsi.timing.spans import shares, stage_spans
+
+Calibration = Literal[
+    "dark", "white", "photon_transfer", "snr", "light", "geometry", "jitter", "resolution", "wavelength"
+]
+CALIBRATIONS: Final[tuple[str, ...]] = get_args(Calibration)
+_BUDGET_LINES: Final = 40
+
+
+def plan_for(station: Station, given: dict[str, Any]) -> ScanPlan:
+    """A plan of what is given, the settings of the camera and the instrument file, in this order.
+
+    Raises:
+        ConfigError: A field is wrong.
+    """
+    settings = station.settings
+    chosen: dict[str, Any] = {
+        "exposure_s": settings.exposure_s,
+        "gain_db": settings.gain_db,
+        "pixel_format": settings.pixel_format,
+        **given,
+    }
+    return station.imager.default_plan(**chosen)
+
+
+def scan_job(
+    station: Station,
+    plan: ScanPlan,
+    output: str | None,
+    *,
+    discard: bool = False,
+    target: str | None = None,
+    real_time: str | None = None,
+) -> Job:
+    """Start a scan.
+
+    Raises:
+        OutOfRange, UnsupportedFeature, CubeExists, ConfigError: Refused; nothing moved.
+        DeviceBusy: A job is under way.
+    """
+    imager = station.imager
+    course = imager.course(plan)
+    try:
+        options = RealTime() if real_time is None else RealTime.of(real_time)
+    except ValueError as error:
+        raise ConfigError("the real-time options are wrong:", [str(error)]) from error
+    path = None if discard else station.folder.new(output or f"{datetime.now():%Y%m%d-%H%M%S}.zarr", ".zarr")
+    title = f"{plan.mode} scan of {plan.lines} lines" + ("" if path is None else f" into {path.name}")
+    job = Job("scan", title, None if path is None else path.name)
+    job.request = {"plan": plan.model_dump(mode="json"), "target": target}
+    roi = course.settings.roi
+    assert roi is not None, "Instrument.check fills the ROI in"
+    spectral = imager.config.spectral
+
+    async def work(job: Job) -> dict[str, Any]:
+        station.preview.begin(
+            job.id,
+            shape=roi.shape,
+            bits=plan.pixel_format.bits,
+            exposure_s=plan.exposure_s,
+            lines=plan.lines,
+            wavelength_nm=spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None,
+        )
+        watching = _Watching(station, job)
+        try:
+            report = await imager.scan(
+                plan,
+                path,
+                on_progress=watching.progress,
+                stop=job.stop,
+                real_time=options,
+                target=target,
+                watch=watching.watch,
+            )
+        finally:
+            await station.preview.finish()
+        result = report.to_json()
+        if path is not None:
+            result["output"] = path.name
+        return result
+
+    return station.begin(job, work)
+
+
+class _Watching:
+    """Tells of a scan while it runs."""
+
+    def __init__(self, station: Station, job: Job) -> None:
+        self._station = station
+        self._job = job
+        self._records: LineRecords | None = None
+
+    def watch(self, line: int, pixels: Pixels, records: LineRecords) -> None:
+        """See a line pass."""
+        self._records = records
+        self._station.preview.watch(line, pixels, records)
+
+    def progress(self, progress: Progress) -> None:
+        """A few times a second."""
+        job = self._job
+        job.progress = {**plain(progress), **(self._budget(progress.taken + progress.missing) or {})}
+        self._station.events.publish("progress", {"job": job.id, "state": str(job.state), **job.progress})
+
+    def _budget(self, reached: int) -> dict[str, Any] | None:
+        """Where the time of the last lines went (figure 5): by stage, alone and hidden behind others."""
+        if self._records is None or reached < 4:
+            return None
+        window = slice(max(0, reached - _BUDGET_LINES), reached)
+        stamps = {stage: column[window] for stage, column in self._records.stamps.items()}
+        exposed = np.flatnonzero(stamps["exposure_start"] != NOT_STAMPED)
+        if len(exposed) < 4 or len(deliveries(stamps)) < 2:
+            return None
+        shown = int(exposed[-2])
+        origin = int(stamps["exposure_start"][shown])
+        spans = stage_spans(stamps)
+        timeline: dict[str, list[float]] = {}
+        for stage, span in spans.items():
+            for place in np.flatnonzero(span.line == shown):
+                timeline[stage] = [(int(edge[place]) - origin) * 1e-9 for edge in (span.begin, span.end)]
+        return {
+            "budget": {stage: asdict(share) for stage, share in shares(stamps).items()},
+            "timeline": timeline,
+            "period_s": float(np.diff(deliveries(stamps)).mean()) * 1e-9,
+            "line": window.start + shown,
+        }
+
+
+def auto_exposure_job(station: Station, target: float) -> Job:
+    """Find the exposure of the white tile, and set it.
+
+    Raises:
+        DeviceBusy: A job is under way.
+    """
+
+    async def work(job: Job) -> dict[str, Any]:
+        found = await auto_exposure(station.imager, target=target)
+        await station.set_camera(exposure_s=found.exposure_s)
+        return plain(found)
+
+    return station.begin(Job("auto-exposure", f"auto-exposure to {100 * target:g} % of full scale"), work)
+
+
+def calibration_job(station: Station, kind: Calibration, output: str | None, options: dict[str, Any]) -> Job:
+    """Start a calibration. A person is asked for targets, unless the camera is simulated and knows them.
+
+    Raises:
+        DeviceBusy: A job is under way.
+        CubeExists, ConfigError: The name of the result.
+    """
+    path = station.folder.new(output or f"{kind}-{datetime.now():%Y%m%d-%H%M%S}.nc", ".nc")
+    job = Job("calibration", f"calibration: {kind.replace('_', ' ')}", path.name)
+    job.request = {"kind": kind, **options}
+
+    async def work(job: Job) -> dict[str, Any]:
+        async def prompt(target: Target) -> None:
+            await station.jobs.ask(job, target.request)
+
+        calibrate = station.imager.calibrate.asking(prompt, lambda text: station.jobs.tell(job, text))
+        result: Result = await getattr(calibrate, kind)(path, **options)
+        return {"kind": result.kind, "simulated": result.provenance.simulated, "rows": rows_of(result, path)}
+
+    return station.begin(job, work)
+
+
+def rows_of(result: Result, path: Path) -> list[dict[str, Any]]:
+    """What a result says, as rows of the specification sheet."""
+    rows: Sequence[Row] = result_rows(result, path.name)
+    return [plain(row) for row in rows]
