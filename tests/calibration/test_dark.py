@@ -1,5 +1,3 @@
-from datetime import UTC, datetime, timedelta
-
 import numpy as np
 import pytest
 
@@ -145,20 +143,3 @@ def test_what_is_no_such_file_is_refused(tmp_path):
         load(DarkModel, tmp_path / "missing.nc")
     with pytest.raises(CalibrationError, match="cannot read"):
         load(DarkModel, tmp_path / "text.nc")
-
-
-@pytest.mark.parametrize(
-    ("use", "why"),
-    [
-        ({"conditions": Conditions(0.02, 6.0, "Mono12", {"bands": 60})}, r"gain_db 3\.0 instead of 6\.0"),
-        ({"conditions": Conditions(0.02, 3.0, "Mono12", {"bands": 61})}, "roi"),
-        ({"max_age": timedelta(hours=2)}, "5.0 h old, 2 h at most"),
-        ({"temperature_c": 40.0}, "was at 25.0 degC and is at 40.0 degC"),
-    ],
-)
-def test_a_result_that_does_not_apply_is_refused_with_the_reason(use: dict, why: str):
-    warm = Provenance(TAKEN.sources, TAKEN.conditions, True, taken=TAKEN.taken, temperature_c=25.0)
-    usual = {"conditions": TAKEN.conditions, "now": datetime(2026, 11, 22, 15, tzinfo=UTC)}
-    warm.check_applies(what="dark model", **usual)
-    with pytest.raises(CalibrationError, match=why):
-        warm.check_applies(what="dark model", **{**usual, **use})

@@ -3,8 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from scanhsi.calibration.jitter import backlash_steps, clipped_sigma, displacements, jitter
+from scanhsi.calibration.backlash import backlash_steps
+from scanhsi.calibration.jitter import clipped_sigma, jitter
 from scanhsi.calibration.result import Provenance
+from scanhsi.calibration.slanted import displacements
 from scanhsi.devices.errors import CalibrationError
 
 

@@ -15,7 +15,7 @@ from scanhsi.calibration.jitter import jitter
 from scanhsi.calibration.resolution import BarContrast
 from scanhsi.calibration.result import Provenance, Result
 from scanhsi.characterise.spec import TABLE_7, specification
-from scanhsi.characterise.spec_rows import Timing
+from scanhsi.characterise.spec_row import Timing
 from scanhsi.characterise.spec_write import draw_pages, to_markdown, write_sheet
 from scanhsi.devices.errors import ConfigError
 from scanhsi.instrument import load_instrument

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from scanhsi.calibration.geometry import Geometry as Model
 from scanhsi.calibration.geometry import fit_geometry
-from scanhsi.calibration.jitter import displacements
 from scanhsi.calibration.resolution import Axis, bar_contrast, edge_response
 from scanhsi.calibration.result import Provenance
+from scanhsi.calibration.slanted import displacements
 from scanhsi_sim.effects import LampOptions, OpticsOptions, SensorOptions, Setup, TargetOptions
 from scanhsi_sim.geometry import Geometry
 from scanhsi_sim.scenes import load_scene

@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 import scanhsi
+from scanhsi.calibration.backlash import backlash_steps
 from scanhsi.calibration.dark import fit_dark
-from scanhsi.calibration.jitter import backlash_steps, displacements
+from scanhsi.calibration.slanted import displacements
 from scanhsi.clock import run_virtual
 from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi_sim import Truth, truth

@@ -3,28 +3,34 @@
 A mirror step turns the view by twice the step's angle. With the optical angle ``gamma = 2 dtheta (k - k0)`` from the normal
 of a plane at distance ``r``, a line lies at ``y = -r tan(gamma)`` (Eqs. 8, 12) and a sample at ``x = (s - s0) dx / cos(gamma)``
 (Eq. 9, with the principal column s0 that the paper leaves out). A plane that is tilted by ``tilt`` about the slit's direction is
-met at ``y = -r sin(gamma) / cos(gamma + tilt)`` along it.
+met at ``y = -r sin(gamma) / cos(gamma + tilt)`` along it. A shaft of the drive that is out of true moves the mirror to and fro with each
+of its turns: to the step k come ``c cos(2 pi k / turn) + s sin(2 pi k / turn)``. A plane that is turned about the direction of the scan
+is not modelled.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Final, cast
+from typing import Annotated, Any, ClassVar, Final, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
 from scanhsi.calibration.result import Provenance, Stored
+from scanhsi.calibration.shaft import find_turn
 from scanhsi.devices.errors import CalibrationError
 
 Floats = NDArray[np.float64]
+Turn = float | Literal["find"] | None
+"""Steps of a turn of the shaft that is out of true, ``"find"`` to look for it, or None."""
 
 _LINEAR_GAMMA_RAD: Final = math.pi / 8  # Eq. 13
 _STEEPEST_RAD: Final = math.radians(60)  # beyond, the tangent magnifies whatever is wrong
 _OUTLIER_MM: Final = 0.5
 _LEAST_POINTS: Final = 5
+_INVERSIONS: Final = 12  # the error of a shaft changes by some percent of a step from step to step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +46,9 @@ class Geometry:
         principal_sample: Sample that looks straight.
         residual_mm: Standard deviation of the points around the model; nan where nothing was fitted.
         points: Points fitted.
+        turn_steps: Steps of a turn of the shaft that is out of true; nan where none is known to be.
+        shaft_cos_steps, shaft_sin_steps: By how much it is, in mirror steps.
+        shaft_sigma_steps: Standard error of either.
         provenance: Where it comes from.
     """
 
@@ -57,10 +66,26 @@ class Geometry:
     tilt_sigma_rad: Annotated[float, Stored("rad", "standard error of the tilt")] = math.nan
     residual_mm: Annotated[float, Stored("mm", "standard deviation around the model")] = math.nan
     points: Annotated[int, Stored("1", "points fitted")] = 0
+    turn_steps: Annotated[float, Stored("steps", "turn of the shaft out of true")] = math.nan
+    shaft_cos_steps: Annotated[float, Stored("steps", "error of that shaft, cosine of its turn")] = 0.0
+    shaft_sin_steps: Annotated[float, Stored("steps", "error of that shaft, sine of its turn")] = 0.0
+    shaft_sigma_steps: Annotated[float, Stored("steps", "standard error of either")] = math.nan
+
+    @property
+    def shaft_steps(self) -> float:
+        """Amplitude of the error of the shaft that is out of true."""
+        return math.hypot(self.shaft_cos_steps, self.shaft_sin_steps)
+
+    def _seen(self, step: Floats) -> Floats:
+        """Where the mirror is when it was sent to a step."""
+        if not math.isfinite(self.turn_steps):
+            return step
+        turn = 2 * np.pi * step / self.turn_steps
+        return step + self.shaft_cos_steps * np.cos(turn) + self.shaft_sin_steps * np.sin(turn)
 
     def gamma_rad(self, step: ArrayLike) -> Floats:
         """Angle of the view from the normal."""
-        return 2 * self.step_rad * (np.asarray(step, np.float64) - self.normal_step)
+        return 2 * self.step_rad * (self._seen(np.asarray(step, np.float64)) - self.normal_step)
 
     def y_mm(self, step: ArrayLike) -> Floats:
         """Where a line lies along the scan."""
@@ -71,7 +96,11 @@ class Geometry:
         """Step, with fractions, that looks at a place: the inverse of `y_mm`."""
         y = np.asarray(y_mm, np.float64)
         gamma = -np.arctan2(y * math.cos(self.tilt_rad), self.distance_mm - y * math.sin(self.tilt_rad))
-        return self.normal_step + gamma / (2 * self.step_rad)
+        seen = self.normal_step + gamma / (2 * self.step_rad)
+        step = seen
+        for _ in range(_INVERSIONS):
+            step = step + seen - self._seen(step)
+        return step
 
     def x_mm(self, sample: ArrayLike, step: ArrayLike) -> Floats:
         """Where a sample lies along the slit, at a step; broadcasts."""
@@ -141,6 +170,16 @@ def number_grid(steps: ArrayLike, model: Geometry, pitch_mm: float) -> NDArray[n
     return numbers
 
 
+_SCALES: Final[dict[str, float]] = {
+    "distance_mm": 100.0,
+    "normal_step": 100.0,
+    "tilt_rad": 0.1,
+    "shaft_cos_steps": 1.0,
+    "shaft_sin_steps": 1.0,
+}
+"""By how much each parameter may be off, roughly."""
+
+
 def fit_geometry(
     steps: ArrayLike,
     y_mm: ArrayLike,
@@ -149,8 +188,9 @@ def fit_geometry(
     *,
     fit_tilt: bool = False,
     origin_known: bool = True,
+    turn: Turn = None,
 ) -> Geometry:
-    """Fit distance, normal step and, if asked, tilt to places that are known.
+    """Fit distance, normal step and, if asked, tilt and a shaft out of true, to places that are known.
 
     A robust loss (soft L1 from 0.5 mm) keeps single lines that were found wrong from pulling the fit; points more than 60
     degrees from the normal are left out.
@@ -163,13 +203,25 @@ def fit_geometry(
         fit_tilt: Also fit the tilt; needs points on both sides, far out.
         origin_known: The target's 0 is at the foot of the normal. If not, its place is fitted too and the normal step hangs on the
             curvature alone: expect an error some ten times as large.
+        turn: Steps of a turn of a shaft out of true, whose error is fitted too; ``"find"`` looks for it, and fits none where the
+            points show none.
 
     Raises:
-        CalibrationError: Fewer than five points, points that are no numbers, or all in one place.
+        CalibrationError: Fewer than five points (seven with a shaft), points that are no numbers, or all in one place.
     """
     step, y = np.asarray(steps, np.float64), np.asarray(y_mm, np.float64)
     step, y = _usable(step, y, start)
+    start = replace(start, turn_steps=math.nan, shaft_cos_steps=0.0, shaft_sin_steps=0.0, shaft_sigma_steps=math.nan)
+    if turn == "find":
+        rough = fit_geometry(step, y, start, provenance, fit_tilt=fit_tilt, origin_known=origin_known)
+        pitch = rough.y_mm(step + 0.5) - rough.y_mm(step - 0.5)
+        turn = find_turn(step, (y - rough.y_mm(step)) / pitch, slow=2 + fit_tilt)
+    if turn is not None:
+        start = replace(start, turn_steps=float(turn))
+    if turn is not None and len(y) < _LEAST_POINTS + 2:
+        raise CalibrationError(f"{len(y)} points are too few to fit a shaft out of true, too.", hint="a finer grid")
     names = ["distance_mm", "normal_step", *(["tilt_rad"] if fit_tilt else [])]
+    names += ["shaft_cos_steps", "shaft_sin_steps"] if turn is not None else []
     begin = np.array([getattr(start, name) for name in names] + ([] if origin_known else [0.0]))
 
     def model(parameters: Floats) -> Geometry:
@@ -179,7 +231,7 @@ def fit_geometry(
         origin = 0.0 if origin_known else float(parameters[-1])
         return model(parameters).y_mm(step) + origin - y
 
-    scale = np.array([100.0, 100.0, 0.1, 10.0])[: len(begin)]
+    scale = np.array([_SCALES[name] for name in names] + ([] if origin_known else [10.0]))
     found = cast("Any", optimize.least_squares(residuals, begin, x_scale=scale, loss="soft_l1", f_scale=_OUTLIER_MM))
     best, jacobian = cast("tuple[Floats, Floats]", (found.x, found.jac))
     left = residuals(best)
@@ -187,11 +239,13 @@ def fit_geometry(
     inside = np.abs(left) <= 3 * max(1.4826 * float(np.median(np.abs(left))), 1e-9)
     variance = float(np.sum(left[inside] ** 2)) / max(int(inside.sum()) - len(begin), 1) if freedom > 0 else math.nan
     sigma = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * variance)
+    error = dict(zip(names, sigma.tolist(), strict=False))
     return replace(
         model(best),
-        distance_sigma_mm=float(sigma[0]),
-        normal_sigma_steps=float(sigma[1]),
-        tilt_sigma_rad=float(sigma[2]) if fit_tilt else math.nan,
+        distance_sigma_mm=error["distance_mm"],
+        normal_sigma_steps=error["normal_step"],
+        tilt_sigma_rad=error.get("tilt_rad", math.nan),
+        shaft_sigma_steps=error.get("shaft_cos_steps", math.nan),
         residual_mm=math.sqrt(variance),
         points=len(y),
         provenance=provenance,

@@ -7,12 +7,14 @@ from typing import Any, Final, cast
 
 import xarray as xr
 
+from scanhsi.calibration.backlash import Backlash
 from scanhsi.calibration.dark import DarkModel
 from scanhsi.calibration.geometry import Geometry
 from scanhsi.calibration.jitter import Jitter
 from scanhsi.calibration.keystone import Keystone
 from scanhsi.calibration.light import LightStability
 from scanhsi.calibration.photon_transfer import PhotonTransfer
+from scanhsi.calibration.repeatability import Repeatability
 from scanhsi.calibration.resolution import BarContrast, EdgeResponse
 from scanhsi.calibration.result import Result, load
 from scanhsi.calibration.smile import Smile
@@ -34,6 +36,8 @@ KINDS: Final[dict[str, type[Any]]] = {
         LightStability,
         Geometry,
         Jitter,
+        Backlash,
+        Repeatability,
         EdgeResponse,
         BarContrast,
     )

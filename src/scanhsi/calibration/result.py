@@ -8,12 +8,13 @@ pickle).
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import uuid
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, TypeVar, cast, get_type_hints
@@ -65,57 +66,14 @@ class Provenance:
         if len({other.exposure_s for other in conditions}) > 1:
             shared = replace(shared, exposure_s=None)
         told = [dataset.attrs.get("simulated") for dataset in datasets]
-        finished = [_finished(dataset.attrs) for dataset in datasets]
+        warm = [other.temperature_c for other in conditions if other.temperature_c is not None]
         return cls(
             sources=names,
-            conditions=shared,
+            conditions=replace(shared, temperature_c=None, taken=None),  # they are the result's, here
             simulated=True if True in told else None if None in told else False,
-            taken=max((time for time in finished if time), default=None),
+            taken=max((other.taken for other in conditions if other.taken), default=None),
+            temperature_c=sum(warm) / len(warm) if warm else None,
         )
-
-    def check_applies(
-        self,
-        conditions: Conditions,
-        *,
-        what: str,
-        exposure: bool = True,
-        max_age: timedelta | None = None,
-        temperature_c: float | None = None,
-        max_drift_c: float = 5.0,
-        now: datetime | None = None,
-    ) -> None:
-        """Refuse a use that this result is not for.
-
-        Args:
-            conditions: Of what it is to be used on.
-            what: Name of the result in the message, ``"dark model"``.
-            exposure: Whether exposures have to agree.
-            max_age: Oldest that is still good.
-            temperature_c: Of the sensor now, where known.
-            max_drift_c: How far temperatures may be apart.
-            now: Instead of the clock's time.
-
-        Raises:
-            CalibrationError: Taken under other conditions, stale, or at another temperature; says which.
-        """
-        reasons = conditions.differences(self.conditions, exposure=exposure)
-        if self.taken is not None and max_age is not None:
-            age = (now or datetime.now(UTC)) - datetime.fromisoformat(self.taken)
-            if age > max_age:
-                reasons.append(
-                    f"it is {age.total_seconds() / 3600:.1f} h old, {max_age.total_seconds() / 3600:g} h at most"
-                )
-        if temperature_c is not None and self.temperature_c is not None:
-            drift = abs(temperature_c - self.temperature_c)
-            if drift > max_drift_c:
-                reasons.append(f"the sensor was at {self.temperature_c:.1f} degC and is at {temperature_c:.1f} degC")
-        if reasons:
-            raise CalibrationError(f"the {what} does not apply: {'; '.join(reasons)}.", hint=f"take a new {what}")
-
-
-def _finished(attributes: dict[str, Any]) -> str | None:
-    acquisition = cast("dict[str, Any]", attributes.get("acquisition") or {})
-    return acquisition.get("finished") or acquisition.get("started")
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +155,7 @@ def from_dataset(kind: type[R], dataset: xr.Dataset, name: str = "the dataset") 
         values: dict[str, Any] = json.loads(dataset.attrs["settings"])
         told = json.loads(dataset.attrs["provenance"])
         for name, stored in _fields(kind).items():
-            if stored is not None:
+            if stored is not None and name in dataset:  # an older file lacks what was added since, with a default
                 value = dataset[name].values
                 values[name] = value if stored.dims else value.item()
         told["conditions"] = Conditions(**told["conditions"])
@@ -206,6 +164,16 @@ def from_dataset(kind: type[R], dataset: xr.Dataset, name: str = "the dataset") 
         return build(provenance=Provenance(**told), **values)
     except (KeyError, TypeError, ValueError) as error:
         raise CalibrationError(f"{name} is damaged: {error!r}.") from error
+
+
+def identity(result: Result) -> str:
+    """Ten digits that name a result by what it holds and where it comes from, whatever its file is called."""
+    dataset = to_dataset(result)
+    digest = hashlib.sha256(json.dumps(dataset.attrs, sort_keys=True).encode())
+    for name in sorted(map(str, dataset.variables)):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(dataset[name].values).tobytes())
+    return digest.hexdigest()[:10]
 
 
 def save(result: Result, path: str | Path) -> None:

@@ -111,6 +111,8 @@ def calibrate_with_tile(
     degree: int = 2,
     fwhm_bands: float = 25.0,
     tolerance_nm: float = 2.5,
+    first_band: int = 0,
+    bands: int | None = None,
 ) -> Wavelength:
     """Calibrate with the reflectance of a tile whose minima are known.
 
@@ -123,11 +125,14 @@ def calibrate_with_tile(
         degree: Of the polynomial; 1 where there are fewer than eight minima.
         fwhm_bands: Roughly the width of the narrow minima, in bands.
         tolerance_nm: How far a minimum may lie from where the polynomial has it.
+        first_band: Band of the sensor region that the spectrum begins with, where bands without light were left out.
+        bands: Of the sensor region; those of the spectrum by default.
 
     Raises:
         CalibrationError: No spectrum, too few minima, or not those of the certificate.
     """
     places, errors = find_minima(reflectance, fwhm_bands=fwhm_bands)
+    places = places + first_band
     found = assign_lines(places, certificate, prior=prior, degree=degree, tolerance_nm=tolerance_nm)
     band, known = places[found.peak], certificate.wavelength_nm[found.line]
     sigma = errors[found.peak]
@@ -135,7 +140,7 @@ def calibrate_with_tile(
     curve = fit_dispersion(band[good], known[good], degree=degree)
     nothing = np.full(int(good.sum()), np.nan)  # a tile's bands are wide by themselves
     return Wavelength(
-        bands=len(reflectance),
+        bands=first_band + len(reflectance) if bands is None else bands,
         coefficients=curve.coefficients,
         covariance=curve.covariance,
         line_nm=known[good],

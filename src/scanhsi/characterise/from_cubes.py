@@ -5,12 +5,16 @@ Cubes say themselves what they were taken of (``target``) and at which exposure;
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
+from typing import Final
 
 import xarray as xr
 
+from scanhsi.calibration.applies import Limits, check_applies
 from scanhsi.calibration.conditions import Conditions
 from scanhsi.calibration.dark import DarkFit, DarkModel
 from scanhsi.calibration.frames import frames_of, stack_frames
@@ -21,6 +25,8 @@ from scanhsi.cube.reader import open_cube
 from scanhsi.devices.errors import CalibrationError
 
 Path_ = str | Path
+
+_ANY_AGE: Final = Limits(timedelta.max, math.inf)
 
 
 def opened(cubes: Sequence[Path_]) -> list[xr.Dataset]:
@@ -117,9 +123,11 @@ def white_from_cubes(
 
 
 def check_dark(dark: DarkModel, conditions: Conditions) -> None:
-    """Refuse a dark model that is not for these conditions; exposures may differ.
+    """Refuse a dark model of another gain, format, region or binning; exposures may differ.
+
+    Its age is looked at where it is loaded: `scanhsi.calibration.applies`.
 
     Raises:
         CalibrationError: Says why.
     """
-    dark.provenance.check_applies(conditions, what="dark model", exposure=False)
+    check_applies(dark, conditions, _ANY_AGE)

@@ -25,13 +25,15 @@ class TargetPicture:
 
     Attributes:
         values: Mean counts of the bands that are lit best, (line, sample).
-        steps: Mirror steps of the lines, (line,).
+        steps: Mirror steps of the lines, rising, (line,).
+        upwards: Whether they were taken in this order; the other way round otherwise.
         plane: The object plane as the instrument file has it: where a fit begins.
         provenance: Where it comes from.
     """
 
     values: Floats
     steps: Floats
+    upwards: bool
     plane: Geometry
     provenance: Provenance
 
@@ -47,7 +49,8 @@ def target_picture(cube: str | Path) -> TargetPicture:
     lines = [frame.mean(axis=0, dtype=np.float64) for frame in frames_of(dataset, str(cube))]
     steps = np.asarray(dataset["mirror_step"].values, np.float64)[stored_lines(dataset, str(cube))]
     order = np.argsort(steps, kind="stable")
-    return TargetPicture(np.stack(lines)[order], steps[order], _plane(dataset, str(cube), provenance), provenance)
+    plane = _plane(dataset, str(cube), provenance)
+    return TargetPicture(np.stack(lines)[order], steps[order], bool(steps[-1] >= steps[0]), plane, provenance)
 
 
 def _plane(dataset: xr.Dataset, name: str, provenance: Provenance) -> Geometry:

@@ -13,7 +13,8 @@ from typing import Final
 
 from scanhsi.calibration.result import Provenance, Result
 from scanhsi.characterise.spec_instrument import instrument_rows
-from scanhsi.characterise.spec_rows import Row, Timing, result_rows, timing_rows
+from scanhsi.characterise.spec_row import Row, Timing
+from scanhsi.characterise.spec_rows import result_rows, timing_rows
 from scanhsi.instrument import InstrumentConfig
 
 TABLE_7: Final[Mapping[str, tuple[str, str]]] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scanhsi.characterise.spec_rows import Row
+from scanhsi.characterise.spec_row import Row
 from scanhsi.instrument import InstrumentConfig
 
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from scanhsi.characterise.spec import NOT_MEASURED, Sheet
-from scanhsi.characterise.spec_rows import Row
+from scanhsi.characterise.spec_row import Row
 from scanhsi.devices.errors import ConfigError
 
 LOUD: Final = "SIMULATED: no instrument was measured."

@@ -64,7 +64,8 @@ GRID: Final = Target(
 )
 SLANTED_LINES: Final = Target("slanted-lines", "Put the slanted lines in the object plane.")
 SLANTED_EDGE: Final = Target("slanted-edge", "Put the white square in the object plane, turned by 5 degrees.")
-LAMP: Final = Target("hgar", "Light the slit with the spectral lamp.")
+TILE: Final = Target("wavelength-tile", "Put the wavelength standard where the white tile was, in the same light.")
+LAMP: Final = Target("hgar", "Light the slit, all of it, with the spectral lamp.")
 
 Prompt = Callable[[Target], Awaitable[None]]
 """Asks a person to put something before the instrument; returns when that is done."""

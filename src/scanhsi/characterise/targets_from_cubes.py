@@ -1,4 +1,4 @@
-"""Geometry, jitter, backlash and resolution from cubes of printed targets: grid, slanted lines, slanted edge."""
+"""Geometry and resolution from cubes of printed targets: grid, slanted edge."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from scanhsi.calibration.geometry import Geometry, fit_geometry, number_grid
-from scanhsi.calibration.jitter import Jitter, displacements, jitter
+from scanhsi.calibration.geometry import Geometry, Turn, fit_geometry, number_grid
 from scanhsi.calibration.resolution import EdgeResponse, edge_response
 from scanhsi.characterise.picture import TargetPicture, target_picture
 from scanhsi.devices.errors import CalibrationError
@@ -25,12 +24,10 @@ _AROUND: Final = 0.3  # of the distance of grid lines: what belongs to one
 _EDGE_HALF: Final = 32
 _SHIFT: Final = 16  # pixels that a slanted edge moves over the rows used
 _SHARE: Final = 0.5  # of the rows: the square that the edge belongs to has corners
-_UNWRAPPINGS: Final = 20
-_SLOW: Final = 3  # degree of the curve that perspective bends even motion into
 
 
 def geometry_from_cube(
-    cube: Path_, *, pitch_mm: float = 6.0, fit_tilt: bool = False, origin_known: bool = True
+    cube: Path_, *, pitch_mm: float = 6.0, fit_tilt: bool = False, origin_known: bool = True, turn: Turn = None
 ) -> Geometry:
     """Distance, normal step and sample pitch from a grid of dark lines (figure 7).
 
@@ -39,6 +36,7 @@ def geometry_from_cube(
         pitch_mm: Of the grid.
         fit_tilt: Fit the tilt of the plane, too.
         origin_known: A grid line lies at the foot of the normal; see `fit_geometry`.
+        turn: Steps of a turn of a shaft out of true, which is fitted too; ``"find"`` looks for it.
 
     Raises:
         CalibrationError: No grid; see `fit_geometry`.
@@ -48,7 +46,7 @@ def geometry_from_cube(
     steps = np.interp(places, np.arange(len(picture.steps)), picture.steps)
     start = replace(picture.plane, sample_pitch_mm=_sample_pitch(picture, pitch_mm))
     y_mm = number_grid(steps, start, pitch_mm) * pitch_mm
-    return fit_geometry(steps, y_mm, start, picture.provenance, fit_tilt=fit_tilt, origin_known=origin_known)
+    return fit_geometry(steps, y_mm, start, picture.provenance, fit_tilt=fit_tilt, origin_known=origin_known, turn=turn)
 
 
 def _sample_pitch(picture: TargetPicture, pitch_mm: float) -> float:
@@ -113,58 +111,6 @@ def _centroid(depth: Floats, peak: int, reach: int) -> float:
     place = np.arange(window.start, window.stop, dtype=np.float64)
     weight = np.clip(depth[window] - 0.1 * depth[peak], 0, None)
     return float(np.sum(weight * place) / np.sum(weight))
-
-
-def jitter_from_cube(
-    cube: Path_,
-    *,
-    slant_deg: float = 10.0,
-    period_mm: float = 2.0,
-    plane: Geometry | None = None,
-    turn_steps: float | None = None,
-    harmonics: int = 2,
-) -> Jitter:
-    """Jitter of every scan line, from a target of slanted lines (figure 8).
-
-    Args:
-        cube: Of the target, taken step by step around the normal.
-        slant_deg: Of the target's lines from the slit.
-        period_mm: Of the lines, across them.
-        plane: The geometry as measured; the instrument file's by default.
-        turn_steps: Steps of a turn of the shaft that may be out of true; a turn of the mirror by default.
-        harmonics: Of that turn.
-
-    Raises:
-        CalibrationError: No pattern; see `displacements` and `jitter`.
-    """
-    picture = target_picture(cube)
-    plane = plane or picture.plane
-    slope = math.tan(math.radians(slant_deg))
-    moved = displacements(picture.values, slope, plane.sample_pitch_mm)
-    turn = 2 * np.pi / abs(plane.step_rad) if turn_steps is None else turn_steps
-    phase = 2 * np.pi * picture.steps / turn
-    moved, slow = _unwrapped(moved, phase, harmonics, period_mm / math.cos(math.radians(slant_deg)))
-    return jitter(phase, moved - slow, picture.provenance, harmonics=harmonics, fitted=_SLOW)
-
-
-def _unwrapped(moved: Floats, phase: Floats, harmonics: int, period_mm: float) -> tuple[Floats, Floats]:
-    """Displacements that went over half a period put back, and the slow part of them, which is perspective.
-
-    A line that lies off by more than half a period looks like one on the other side. What is slow or periodic is fitted and
-    everything put to where it is nearest to that, until nothing moves any more.
-    """
-    line = np.linspace(-1, 1, len(moved))
-    slowly = np.stack([line**power for power in range(_SLOW + 1)], axis=1)
-    waves = [wave(order * phase) for order in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
-    design = np.concatenate([slowly, *(wave[:, None] for wave in waves)], axis=1)
-    coefficients = np.zeros(design.shape[1])
-    for _ in range(_UNWRAPPINGS):
-        coefficients = np.linalg.lstsq(design, moved, rcond=1e-9)[0]
-        fitted = design @ coefficients
-        before, moved = moved, fitted + (moved - fitted + period_mm / 2) % period_mm - period_mm / 2
-        if np.array_equal(np.round(moved - before, 6), np.zeros(len(moved))):
-            break
-    return moved, slowly @ coefficients[: _SLOW + 1]
 
 
 def edge_from_cube(

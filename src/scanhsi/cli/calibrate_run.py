@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,9 +14,10 @@ import typer
 from scanhsi.cli.output import messages, results, write_json
 
 if TYPE_CHECKING:
+    from scanhsi.calibration.applies import Limits
     from scanhsi.calibration.result import Result
-    from scanhsi.characterise.calibrator import Calibrator
     from scanhsi.characterise.station import Target
+    from scanhsi.cli.calibrations.work import Work
     from scanhsi.instrument import InstrumentConfig
 
 
@@ -28,31 +29,34 @@ class Job:
         instrument: Name or path; None with ``cubes``.
         output: File of the result.
         cubes: Cubes that exist.
-        take: The protocol.
-        work_out: The result of cubes.
         settings: ``key=value`` of the instrument file.
         virtual: In virtual time.
         yes: Do not ask.
         figure: File of the figure; None: beside the result.
         no_figure: Draw none.
         as_json: Print JSON.
+        limits: Of age and temperature, for results that are given.
     """
 
     instrument: str | None
     output: Path
     cubes: list[str] | None
-    take: Callable[[Calibrator], Awaitable[Result]]
-    work_out: Callable[[list[str]], Result]
     settings: list[str] | None
     virtual: bool
     yes: bool
     figure: Path | None
     no_figure: bool
     as_json: bool
+    limits: Limits
 
 
-def run_job(job: Job) -> None:
-    """Run a command to its end."""
+def run_job(job: Job, work: Callable[[], Work]) -> None:
+    """Run a command to its end.
+
+    Args:
+        job: What all commands are given.
+        work: Makes the command's own part; called once the command line is known to be right.
+    """
     from scanhsi.calibration.figures import draw
     from scanhsi.calibration.result import save
     from scanhsi.characterise.spec import TABLE_7
@@ -61,10 +65,10 @@ def run_job(job: Job) -> None:
     if (job.instrument is None) == (job.cubes is None):
         raise typer.BadParameter("give an instrument, or cubes with --from; one of the two.", param_hint="INSTRUMENT")
     if job.cubes is not None:
-        result = job.work_out(job.cubes)
+        result = work().work_out(job.cubes)
         save(result, job.output)
     else:
-        result = _take(job)
+        result = _take(job, work())
     drawn = None if job.no_figure else draw(result, job.figure or job.output.with_suffix(".png"))
     rows = result_rows(result, str(job.output))
     if job.as_json:
@@ -97,7 +101,7 @@ def run_job(job: Job) -> None:
     messages().print(f"{job.output}{'' if drawn is None else f', {drawn}'}", soft_wrap=True)
 
 
-def _take(job: Job) -> Result:
+def _take(job: Job, work: Work) -> Result:
     from scanhsi import clock
     from scanhsi.cli.scan import parsed_settings, refuse_real_devices
     from scanhsi.instrument import load_instrument
@@ -106,10 +110,10 @@ def _take(job: Job) -> Result:
     config = load_instrument(job.instrument, parsed_settings(job.settings or ()))
     if job.virtual:
         refuse_real_devices(config)
-    return clock.run(_measure(job, config), virtual=job.virtual)
+    return clock.run(_measure(job, work, config), virtual=job.virtual)
 
 
-async def _measure(job: Job, config: InstrumentConfig) -> Result:
+async def _measure(job: Job, work: Work, config: InstrumentConfig) -> Result:
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.imager import open_instrument
 
@@ -117,7 +121,7 @@ async def _measure(job: Job, config: InstrumentConfig) -> Result:
     with interrupts(console.print):
         async with open_instrument(config) as imager:
             calibrate = imager.calibrate.asking(_nobody if job.yes else ask, lambda text: console.print(f"  {text}"))
-            return await job.take(calibrate)
+            return await work.take(calibrate.within(job.limits))
 
 
 async def _nobody(target: Target) -> None:

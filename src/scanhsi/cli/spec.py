@@ -10,7 +10,7 @@ import typer
 from scanhsi.cli.output import messages
 
 if TYPE_CHECKING:
-    from scanhsi.characterise.spec_rows import Timing
+    from scanhsi.characterise.spec_row import Timing
 
 
 def register(app: typer.Typer) -> None:
@@ -60,7 +60,7 @@ def _timings(path: Path) -> list[Timing]:
 
     from scanhsi.bench.observations import read_sessions
     from scanhsi.bench.scenarios import Scenario
-    from scanhsi.characterise.spec_rows import Timing
+    from scanhsi.characterise.spec_row import Timing
 
     sessions = read_sessions(path)
     if not sessions:

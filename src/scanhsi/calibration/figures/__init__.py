@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scanhsi.calibration.figures import optics, sensor, wavelength
+from scanhsi.calibration.figures import mirror, optics, sensor, wavelength
 from scanhsi.calibration.figures.style import save_figure
 from scanhsi.calibration.result import Result
 
-_DRAW = {**sensor.FIGURES, **optics.FIGURES, **wavelength.FIGURES}
+_DRAW = {**sensor.FIGURES, **optics.FIGURES, **mirror.FIGURES, **wavelength.FIGURES}
 
 
 def draw(result: Result, path: str | Path) -> Path | None:

@@ -1,0 +1,1 @@
+"""What each calibration takes: the targets it asks for, the exposures, the scans."""

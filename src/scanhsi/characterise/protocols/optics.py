@@ -1,0 +1,78 @@
+"""Object plane and sharpness, from printed targets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from scanhsi.calibration.geometry import Geometry, Turn
+from scanhsi.calibration.resolution import EdgeResponse
+from scanhsi.characterise.protocols.base import Protocols, finish
+from scanhsi.characterise.station import GRID, SLANTED_EDGE
+from scanhsi.characterise.targets_from_cubes import edge_from_cube, geometry_from_cube
+
+
+class OpticsProtocols(Protocols):
+    """Protocols of lens and object plane."""
+
+    __slots__ = ()
+
+    async def geometry(
+        self,
+        output: str | Path | None = None,
+        *,
+        pitch_mm: float = 6.0,
+        half_mm: float = 64.0,
+        exposure_s: float | None = None,
+        fit_tilt: bool = False,
+        origin_known: bool = True,
+        turn: Turn = None,
+    ) -> Geometry:
+        """Distance, normal step and sample pitch, from a grid (figure 7).
+
+        Args:
+            output: File of the result.
+            pitch_mm: Of the grid.
+            half_mm: How far the scan goes to both sides.
+            exposure_s: Default: found by `auto_exposure` on the grid.
+            fit_tilt: Fit the tilt of the plane, too.
+            origin_known: A line of the grid lies at the foot of the normal.
+            turn: Steps of a turn of a shaft out of true, which is fitted too; ``"find"`` looks for it.
+
+        Raises:
+            CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
+        """
+        async with self.station(output) as at:
+            cube = await self.scan_target(at, GRID, half_mm, exposure_s)
+            return await finish(
+                output,
+                lambda: geometry_from_cube(
+                    cube, pitch_mm=pitch_mm, fit_tilt=fit_tilt, origin_known=origin_known, turn=turn
+                ),
+            )
+
+    async def resolution(
+        self,
+        output: str | Path | None = None,
+        *,
+        axis: Literal["line", "sample"] = "line",
+        plane: Geometry | None = None,
+        half_mm: float = 30.0,
+        exposure_s: float | None = None,
+    ) -> EdgeResponse:
+        """Modulation transfer across a slanted edge (figure 11).
+
+        Args:
+            output: File of the result.
+            axis: ``line`` along the scan, ``sample`` along the slit.
+            plane: Geometry as measured; the instrument file's by default.
+            half_mm: How far the scan goes to both sides.
+            exposure_s: Default: found by `auto_exposure` on the target.
+
+        Raises:
+            CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
+        """
+        self.check(plane)
+        async with self.station(output) as at:
+            cube = await self.scan_target(at, SLANTED_EDGE, half_mm, exposure_s)
+            return await finish(output, lambda: edge_from_cube(cube, axis, plane=plane))

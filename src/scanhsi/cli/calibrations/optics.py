@@ -1,0 +1,87 @@
+"""Object plane and sharpness."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from scanhsi.cli.calibrations.work import Exposure, Given, Half, Plane, Work, only, turn_of
+from scanhsi.cli.quantities import seconds_of
+
+if TYPE_CHECKING:
+    from scanhsi.calibration.result import Result
+
+
+def geometry(
+    given: Given,
+    pitch: Annotated[float, typer.Option(help="Of the grid, mm.")] = 6.0,
+    half: Half = 64.0,
+    tilt: Annotated[bool, typer.Option("--tilt", help="Fit the tilt of the plane, too.")] = False,
+    origin_unknown: Annotated[
+        bool, typer.Option("--origin-unknown", help="No line of the grid lies at the foot of the normal.")
+    ] = False,
+    turn: Annotated[
+        str | None,
+        typer.Option(metavar="STEPS|find", help="Fit a shaft out of true, too, whose turn has so many steps."),
+    ] = None,
+    exposure: Exposure = None,
+) -> Work:
+    """Distance, normal step and sample pitch, from a grid (figure 7).
+
+    [bold]Example[/]: scanhsi calibrate geometry characterise -o geometry.nc
+    """
+    from scanhsi.characterise.targets_from_cubes import geometry_from_cube
+
+    time, shaft = seconds_of(exposure, "--exposure"), turn_of(turn)
+    return Work(
+        lambda hsi: hsi.geometry(
+            given.output,
+            pitch_mm=pitch,
+            half_mm=half,
+            exposure_s=time,
+            fit_tilt=tilt,
+            origin_known=not origin_unknown,
+            turn=shaft,
+        ),
+        lambda cubes: geometry_from_cube(
+            only(cubes, "a cube of the grid"),
+            pitch_mm=pitch,
+            fit_tilt=tilt,
+            origin_known=not origin_unknown,
+            turn=shaft,
+        ),
+    )
+
+
+def resolution(
+    given: Given,
+    axis: Annotated[Literal["line", "sample"], typer.Option(help="Along the scan, or along the slit.")] = "line",
+    bars: Annotated[
+        Path | None,
+        typer.Option(help="With --from a cube of a USAF target: CSV that says where its bars are.", dir_okay=False),
+    ] = None,
+    plane: Plane = None,
+    half: Half = 30.0,
+    exposure: Exposure = None,
+) -> Work:
+    """Modulation transfer across a slanted edge; or contrast of the bars of a USAF target (figure 11).
+
+    [bold]Example[/]: scanhsi calibrate resolution characterise --axis line --plane geometry.nc -o mtf-line.nc
+    """
+    from scanhsi.characterise.bars_from_cube import bars_from_cube, load_bars
+    from scanhsi.characterise.targets_from_cubes import edge_from_cube
+
+    known, time = given.plane(plane), seconds_of(exposure, "--exposure")
+    if bars is not None and given.cubes is None:
+        raise typer.BadParameter("look at the cube first, to say where the bars are: use --from.", param_hint="--bars")
+
+    def work_out(cubes: list[str]) -> Result:
+        if bars is not None:
+            return bars_from_cube(only(cubes, "a cube of the target"), axis, load_bars(bars), plane=known)
+        return edge_from_cube(only(cubes, "a cube of the edge"), axis, plane=known)
+
+    return Work(
+        lambda hsi: hsi.resolution(given.output, axis=axis, plane=known, half_mm=half, exposure_s=time), work_out
+    )
