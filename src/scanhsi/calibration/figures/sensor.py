@@ -146,21 +146,27 @@ def draw_light(result: LightStability) -> Figure:
     """The lamp over time (figure 12, right), and over which time averaging helps."""
     figure = sheet("Stability of the light", result.provenance)
     left, right = figure.subplots(1, 2, width_ratios=(1.6, 1))
-    left.plot(result.time_s, result.signal / result.level, "o", color=BLUE, label="snapshots")
-    if np.isfinite(result.settling_s):
-        seconds: Floats = np.linspace(float(result.time_s[0]), float(result.time_s[-1]), 300)
-        curve = 1 + result.overshoot * np.exp(-seconds / result.settling_s)
-        text = f"settles in {result.settling_s:.0f} $\\pm$ {result.settling_sigma_s:.0f} s"
-        left.plot(seconds, curve, color=ORANGE, label=text)
-        left.axvline(result.stable_after_s, color=GREY, linestyle=":", label="within 1 %")
-    left.set_xlabel("time since the lamp was switched on / s")
-    left.set_ylabel("level / settled level")
-    left.legend()
+    show_lamp(left, result)
     right.loglog(result.averaging_s, 100 * result.allan, "o-", color=BLUE)
     right.set_xlabel("averaging time / s")
     right.set_ylabel("Allan deviation / %")
     right.grid(which="minor", visible=False)
     return figure
+
+
+def show_lamp(axes: Axes, result: LightStability) -> None:
+    """Level of the lamp over time, with the settling fitted to it."""
+    axes.plot(result.time_s, 100 * (result.signal / result.level - 1), "o", color=BLUE, label="snapshots")
+    if np.isfinite(result.settling_s):
+        seconds: Floats = np.linspace(float(result.time_s[0]), float(result.time_s[-1]), 300)
+        curve = 100 * result.overshoot * np.exp(-seconds / result.settling_s)
+        text = f"settles in {result.settling_s:.0f} $\\pm$ {result.settling_sigma_s:.0f} s"
+        axes.plot(seconds, curve, color=ORANGE, label=text)
+        if result.stable_after_s > float(result.time_s[0]):
+            axes.axvline(result.stable_after_s, color=GREY, linestyle=":", label="within 1 %")
+    axes.set_xlabel("time since the lamp was switched on / s")
+    axes.set_ylabel("level above the settled one / %")
+    axes.legend()
 
 
 FIGURES: Final[dict[str, Callable[[Any], Figure]]] = {

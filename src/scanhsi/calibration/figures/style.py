@@ -44,17 +44,20 @@ PAGE_STYLE: Final[dict[str, Any]] = {
 _DPI: Final = 200
 
 
-def save_figure(draw: Callable[[], Figure], path: Path) -> Path:
-    """Draw and write; the name's ending says how (.png, .pdf, .svg).
+def save_figure(draw: Callable[[], Figure], path: Path, *more: Path) -> Path:
+    """Draw once and write; the names' endings say how (.png, .pdf, .svg). Returns the first.
 
     Raises:
         CalibrationError: It cannot be written, or not so.
     """
     with mpl.rc_context(cast(Any, PAGE_STYLE)):  # its keys are typed as literals, from matplotlib 3.11 on
-        try:
-            draw().savefig(path, dpi=_DPI)
-        except (OSError, ValueError) as error:
-            raise CalibrationError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}.") from error
+        figure = draw()
+        for file in (path, *more):
+            try:
+                figure.savefig(file, dpi=_DPI)
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or error
+                raise CalibrationError(f"cannot write {file}: {reason}.") from error
     return path
 
 
@@ -71,7 +74,8 @@ def sheet(title: str, provenance: Provenance, *, height_in: float = 2.9) -> Figu
 
 def _told(provenance: Provenance) -> str:
     conditions = provenance.conditions
-    parts = [f"{len(provenance.sources)} sources"] if len(provenance.sources) != 1 else [provenance.sources[0]]
+    named = [source.rstrip("/").rpartition("/")[2] for source in provenance.sources]
+    parts = named if len(named) == 1 else [f"{len(named)} sources"]
     if conditions.exposure_s is not None:
         parts.append(f"{1000 * conditions.exposure_s:g} ms")
     if conditions.gain_db is not None:
