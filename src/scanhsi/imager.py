@@ -31,6 +31,7 @@ from scanhsi.engine import Course, Mode, Progress, ScanPlan, ScanReport, run_sca
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
 from scanhsi.instrument.timing import storing_of
+from scanhsi.processing.live import LiveProcessing, beside
 
 _NO_OPTIONS = RealTime()
 _LIVE_LINES = 4096
@@ -154,6 +155,7 @@ class Imager:
         target: str | None = None,
         spool: str | Path | None = None,
         watch: Watch | None = None,
+        process: LiveProcessing | None = None,
     ) -> ScanReport:
         """Scan.
 
@@ -169,9 +171,11 @@ class Imager:
                 and goes on its way in the background, also when the scan is over: `scanhsi.drain` waits for that, or sends later
                 what a process that ended left.
             watch: Shown each line on its way to storage, also where lines are discarded; see `scanhsi.cube.watched`.
+            process: Another cube to be made of the raw one while it is scanned, by another process, which costs the scan no line.
+                This returns when that is done, too; what became of it is in the report.
 
         Raises:
-            OutOfRange, UnsupportedFeature, CubeExists: Refused; nothing moved, nothing was overwritten.
+            OutOfRange, UnsupportedFeature, CubeExists, CalibrationError: Refused; nothing moved, nothing was overwritten.
             DeviceBusy: A scan of this instrument is under way.
             ScanFailed: It began and did not end well; what was stored is safe and opens as a shorter cube.
         """
@@ -180,18 +184,21 @@ class Imager:
             limits = self.instrument.actuator_info.limits
             with clock.real_time(real_time) as granted:
                 place = None if output is None else destination_of(output, spool=spool)
-                sink = DiscardSink() if place is None else self._writer(course, plan, place, granted, target)
+                spec = None if place is None else self._spec(course, plan, granted, target)
+                sink = DiscardSink() if place is None or spec is None else self._writer(place, spec)
                 sink = self._slowed(sink, plan)
-                report = await run_scan(
-                    course,
-                    self.camera,
-                    self.actuator,
-                    sink if watch is None else _watched(sink, watch, course),
-                    limits=limits,
-                    on_progress=on_progress,
-                    stop=stop,
-                )
-                return replace(report, real_time=granted)
+                async with beside(process, spec, output) as processing:
+                    report = await run_scan(
+                        course,
+                        self.camera,
+                        self.actuator,
+                        sink if watch is None else _watched(sink, watch, course),
+                        limits=limits,
+                        on_progress=on_progress,
+                        stop=stop,
+                    )
+                    processed = None if processing is None else await processing.finish()
+                return replace(report, real_time=granted, processed=processed)
 
     async def live(
         self,
@@ -244,15 +251,13 @@ class Imager:
             return sink
         return SlowSink(sink, lambda line: storing.delay_ns("T_store", line, pixel_format=plan.pixel_format))
 
-    def _writer(
-        self, course: Course, plan: ScanPlan, place: Destination, granted: Granted, target: str | None
-    ) -> LineSink:
+    def _spec(self, course: Course, plan: ScanPlan, granted: Granted, target: str | None) -> CubeSpec:
         settings, roi = course.settings, course.settings.roi
         assert roi is not None, "Instrument.check fills the ROI in"
         spectral, storage = self.config.spectral, self.config.storage
         wavelength_nm = spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None
-        try:
-            spec = CubeSpec(
+        with _refused_as_config():
+            return CubeSpec(
                 lines=course.lines,
                 bands=roi.bands,
                 samples=roi.samples,
@@ -272,16 +277,25 @@ class Imager:
                 binning=Binning(storage.bin_bands, storage.bin_samples),
                 quicklook=online_quicklook(roi.bands, wavelength_nm) if storage.quicklook else None,
             )
-            writer = CubeWriter(
+
+    def _writer(self, place: Destination, spec: CubeSpec) -> LineSink:
+        storage = self.config.storage
+        with _refused_as_config():
+            return CubeWriter(
                 place,
                 spec,
                 lines_per_shard=storage.lines_per_shard,
                 codec=storage.codec,
                 durability=storage.durability,
             )
-        except ValueError as error:
-            raise ConfigError("the cube cannot be stored as asked:", [str(error)]) from error
-        return writer
+
+
+@contextmanager
+def _refused_as_config() -> Generator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise ConfigError("the cube cannot be stored as asked:", [str(error)]) from error
 
 
 def _watched(sink: LineSink, watch: Watch, course: Course, period_s: float = 0.0) -> WatchedSink:

@@ -215,6 +215,10 @@ class Rewriting:
                 progress(done * line_bytes, self.spec.lines * line_bytes)
         return found
 
+    def on(self, source: xr.Dataset) -> Rewriting:
+        """The same of a source that has grown."""
+        return replace(self, source=source)
+
     def shards(self) -> range:
         """First lines of the shards."""
         return range(0, self.spec.lines, self.layout.lines_per_shard)

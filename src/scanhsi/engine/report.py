@@ -35,6 +35,25 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
+class Processed:
+    """What became of the processing beside a scan.
+
+    Attributes:
+        output: Path of the processed cube.
+        lines: Of it; 0 where it failed.
+        behind: Lines that were still to be processed when the scan was over.
+        caught_up_s: What these took.
+        error: Why it is not whole; the raw cube is. None where all went well.
+    """
+
+    output: str
+    lines: int = 0
+    behind: int = 0
+    caught_up_s: float = 0.0
+    error: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ScanReport:
     """What a finished scan was.
 
@@ -59,6 +78,7 @@ class ScanReport:
         look_ahead: Accepted probability that a line is smeared; None without look-ahead.
         smeared: Lines flagged as smeared, because the mirror began to move before their exposure had ended.
         real_time: The event loop, and which real-time options were asked for and granted; None where the engine was run by itself.
+        processed: What became of the processing beside it; None without.
     """
 
     mode: str
@@ -80,6 +100,7 @@ class ScanReport:
     missing_reasons: dict[int, str] = field(default_factory=dict[int, str])
     stages: dict[str, StageTime] = field(default_factory=dict[str, StageTime])
     real_time: Granted | None = None
+    processed: Processed | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain JSON types."""

@@ -1,5 +1,7 @@
 """From raw counts to reflectance: named steps over whole lines, run over cubes of any size or on lines as they arrive."""
 
+from scanhsi.processing.follow import Followed, follow
+from scanhsi.processing.live import LiveProcessing
 from scanhsi.processing.pipeline import Pipeline
 from scanhsi.processing.rectify import Grid, rectified, rectify
 from scanhsi.processing.run import process
@@ -12,13 +14,16 @@ __all__ = [
     "BinBands",
     "CorrectKeystone",
     "CorrectSmile",
+    "Followed",
     "Grid",
+    "LiveProcessing",
     "MaskSaturated",
     "Pipeline",
     "Reflectance",
     "Signal",
     "Step",
     "SubtractDark",
+    "follow",
     "process",
     "rectified",
     "rectify",

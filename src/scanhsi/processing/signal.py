@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from scanhsi.calibration.conditions import Conditions
+from scanhsi.cube.layout import CubeSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,4 +55,21 @@ class Signal:
             wavelength_map_nm=np.asarray(dataset["wavelength_map"].values, np.float64)
             if "wavelength_map" in dataset.coords
             else None,
+        )
+
+    @classmethod
+    def of_spec(cls, spec: CubeSpec) -> Self:
+        """Of the raw cube that will be written as a `CubeSpec` says."""
+        stored = spec.stored
+        bits = stored.significant_bits
+        wavelength = stored.wavelength_nm
+        return cls(
+            bands=stored.bands,
+            samples=stored.samples,
+            dtype=np.dtype(stored.dtype),
+            units="counts",
+            long_name="raw camera counts",
+            saturation=None if bits is None else 2**bits - 1,
+            wavelength_nm=None if wavelength is None else np.asarray(wavelength, np.float64),
+            conditions=Conditions.of(stored.attributes),
         )
