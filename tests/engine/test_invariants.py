@@ -13,7 +13,7 @@ import pytest
 from scanhsi.clock import VirtualDeadlock, run_virtual
 from scanhsi.cube.records import NOT_STAMPED, LineStatus
 from scanhsi.devices import CameraSettings, PixelFormat
-from scanhsi.devices.errors import DeviceTimeout, ScanFailed
+from scanhsi.devices.errors import DeviceTimeout, DeviceUnsafe, ScanFailed
 from scanhsi.engine import Course, Mode, ScanReport, run_scan
 from scanhsi.engine.scan import Credits
 from support.bench import Bench, BenchActuator, BenchCamera, MemorySink
@@ -102,7 +102,7 @@ def test_nothing_hangs(device: type, method: str, named: str, mode: Mode, monkey
     with pytest.raises((ScanFailed, DeviceTimeout), match=named) as failed:
         run_virtual(scan(mode, bench, sink))
     causes = failed.value.causes if isinstance(failed.value, ScanFailed) else (failed.value,)
-    assert any(isinstance(cause, DeviceTimeout) and cause.waited_s for cause in causes)
+    assert any(isinstance(cause, DeviceTimeout | DeviceUnsafe) and cause.waited_s for cause in causes)
     assert sink.closed or method in ("configure", "close")
 
 
@@ -116,7 +116,7 @@ def test_an_engine_without_deadlines_would_be_caught(monkeypatch: pytest.MonkeyP
 
         async def __aexit__(self, *_: object) -> None: ...
 
-    monkeypatch.setattr("scanhsi.engine.control.Deadline", Patient)
+    monkeypatch.setattr("scanhsi.engine.deadlines.Deadline", Patient)
     monkeypatch.setattr(BenchCamera, "expose", _for_ever)
     with pytest.raises(VirtualDeadlock):
         run_virtual(scan(Mode.STEPPED, Bench(), MemorySink()))

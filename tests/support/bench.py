@@ -156,6 +156,8 @@ class BenchCamera:
 
     async def disarm(self) -> None:
         self.bench.armed = False
+        now = now_ns()  # an exposure under way ends here
+        self.bench.exposures = [(start, min(end, now)) for start, end in self.bench.exposures if start < now]
         self.bench.on_pulse = None
         for task in self._tasks:
             task.cancel()

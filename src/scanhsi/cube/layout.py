@@ -293,7 +293,7 @@ RECORDS: Final = (
             "flag_meanings": "still smeared",
         },
     ),
-    LineVariable("attempt", "uint8", 0, {"long_name": "how often the line was tried"}),
+    LineVariable("attempt", "uint16", 0, {"long_name": "how often the line was tried"}),
     LineVariable(
         "run", "uint16", 0, {"long_name": "session that took the line: 0 began the cube, n is the n-th that resumed it"}
     ),

@@ -91,7 +91,7 @@ class LineRecords:
         frame_id: int64 column: the camera's own frame number; -1 is no valid number and means none.
         device_ns: int64 column: the camera's own time stamp, its own epoch.
         smeared: uint8 column: 1 where look-ahead moved the mirror before the exposure had ended.
-        attempt: uint8 column: how often the line was tried; 0 where it never was.
+        attempt: uint16 column: how often the line was tried; 0 where it never was.
         run: uint16 column: session that took the line: 0 for the one that began the cube, n for the n-th that resumed it.
         missing: line -> reason, of lines that will never be stored.
         incidents: What kept the scan from going on for a while, in order.
@@ -106,7 +106,7 @@ class LineRecords:
         self.frame_id: NDArray[np.int64] = np.full(lines, -1, np.int64)
         self.device_ns: NDArray[np.int64] = np.full(lines, NOT_STAMPED, np.int64)
         self.smeared: NDArray[np.uint8] = np.zeros(lines, np.uint8)
-        self.attempt: NDArray[np.uint8] = np.zeros(lines, np.uint8)
+        self.attempt: NDArray[np.uint16] = np.zeros(lines, np.uint16)
         self.run: NDArray[np.uint16] = np.zeros(lines, np.uint16)
         self.missing: dict[int, str] = {}
         self.incidents: list[Incident] = []

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
-from scanhsi.devices.errors import DeviceTimeout, ScanhsiError
+from scanhsi.devices.errors import DeviceTimeout, DeviceUnsafe, ScanhsiError
 from scanhsi.log import get_logger
 
 _log = get_logger(__name__)
@@ -21,12 +21,18 @@ class CleanupStep:
         action: Does it.
         limit_s: How long it may take.
         after: Waits until the steps before it are done; else it runs beside them.
+        device: What it is done to, for errors that do not say it.
+        unsafe: What may be the case when it fails, where that can hurt (``"the mirror may be moving"``): told loudly.
+        failed: Told its error.
     """
 
     what: str
     action: Callable[[], Awaitable[None]]
     limit_s: float
     after: bool = False
+    device: str | None = None
+    unsafe: str | None = None
+    failed: Callable[[Exception], None] | None = None
 
 
 async def clean_up(steps: list[CleanupStep]) -> list[Exception]:
@@ -81,9 +87,32 @@ async def _run_one(step: CleanupStep) -> Exception | None:
         async with asyncio.timeout(step.limit_s):
             await step.action()
     except TimeoutError:
-        return DeviceTimeout("it did not end.", operation=step.what, waited_s=step.limit_s)
+        error = DeviceTimeout("it did not end.", device=step.device, operation=step.what, waited_s=step.limit_s)
+        return _failed(step, error)
     except Exception as error:
         if isinstance(error, ScanhsiError) and error.operation is None:
             error.operation = step.what
-        return error
+        return _failed(step, error)
     return None
+
+
+def _failed(step: CleanupStep, error: Exception) -> Exception:
+    if step.unsafe is not None:
+        error = _unsafe(step.unsafe, step, error)
+    if step.failed is not None:
+        step.failed(error)
+    return error
+
+
+def _unsafe(what: str, step: CleanupStep, cause: Exception) -> DeviceUnsafe:
+    known = cause if isinstance(cause, ScanhsiError) else ScanhsiError(f"{type(cause).__name__}: {cause}")
+    error = DeviceUnsafe(
+        f"UNSAFE, {what}: {known.message}",
+        device=known.device or step.device,
+        operation=known.operation or step.what,
+        waited_s=known.waited_s,
+        hint="look at the instrument, and switch it off before you reach into it.",
+    )
+    error.__cause__ = cause
+    _log.critical("unsafe", device=error.device, operation=error.operation, error=str(error))
+    return error

@@ -1,4 +1,4 @@
-"""How long the engine waits for what, and the error it raises then.
+"""How long the engine waits for what, and the error it raises then: who was waited for, where, and what was last heard of it.
 
 A driver has deadlines of its own, tighter and better informed. These stand behind them: whatever a driver does, a scan does not
 hang.
@@ -7,9 +7,12 @@ hang.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum, unique
 from types import TracebackType
 
+from scanhsi.clock import now_ns
 from scanhsi.devices import ActuatorInfo, CameraInfo
 from scanhsi.devices.errors import DeviceTimeout
 
@@ -21,6 +24,19 @@ STOP_S = 10.0
 """Stopping the mirror, disarming the camera."""
 HOME_S = 120.0
 """Homing may search a whole turn at low speed."""
+CONNECT_S = 30.0
+"""Opening a device anew: an Arduino restarts, a camera that lost its controller lets go of it after seconds."""
+CLOSE_S = 15.0
+"""Closing a device that is gone."""
+
+
+@unique
+class Part(StrEnum):
+    """Who is waited for, and whose fault something is."""
+
+    CAMERA = "camera"
+    ACTUATOR = "actuator"
+    STORAGE = "storage"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +68,61 @@ def deadlines(camera: CameraInfo, actuator: ActuatorInfo, exposure_s: float, str
     )
 
 
-class Deadline:
-    """``async with Deadline(limit_s, "expose", device=...)``: like `asyncio.timeout`, but the error names what was waited for."""
+class Watch:
+    """The watchdogs of one scan: gives every wait its deadline, knows what was heard last of whom and whose fault an error is.
 
-    __slots__ = ("_device", "_hint", "_limit_s", "_line", "_operation", "_timer")
+    Args:
+        names: How messages call the parts.
+    """
+
+    def __init__(self, names: Mapping[Part, str]) -> None:
+        self.names = names
+        self._heard: dict[Part, tuple[str, int | None, int]] = {}
+        self._blamed: dict[BaseException, Part] = {}
+
+    def __call__(
+        self, part: Part, limit_s: float, operation: str, *, line: int | None = None, hint: str | None = None
+    ) -> Deadline:
+        """``async with watch(Part.CAMERA, limit_s, "expose", line=line)``: see `Deadline`."""
+        return Deadline(self, part, limit_s, operation, line, hint)
+
+    def heard(self, part: Part, what: str, line: int | None) -> None:
+        """All is well with a part: it has just done something."""
+        self._heard[part] = what, line, now_ns()
+
+    def last_heard(self, part: Part) -> str:
+        """For messages: what a part did last and how long ago that was."""
+        if part not in self._heard:
+            return "nothing was heard of it before"
+        what, line, at_ns = self._heard[part]
+        where = "" if line is None else f" of line {line}"
+        return f"last heard of it: {what}{where}, {(now_ns() - at_ns) * 1e-9:.3g} s before"
+
+    def blame(self, part: Part, error: BaseException) -> None:
+        """Note whose fault an error is."""
+        self._blamed.setdefault(error, part)
+
+    def blamed(self, error: BaseException) -> Part | None:
+        """Whose fault an error is; None where that is not known."""
+        return self._blamed.get(error)
+
+    def forget_faults(self) -> None:
+        """They are dealt with; what they hold on to is free."""
+        self._blamed.clear()
+
+
+class Deadline:
+    """Like `asyncio.timeout`, but the error tells who was waited for, for what and how long, and what was heard of it last."""
+
+    __slots__ = ("_hint", "_limit_s", "_line", "_operation", "_part", "_timer", "_watch")
 
     def __init__(
-        self, limit_s: float, operation: str, *, device: str, line: int | None = None, hint: str | None = None
+        self, watch: Watch, part: Part, limit_s: float, operation: str, line: int | None, hint: str | None
     ) -> None:
+        self._watch = watch
+        self._part = part
         self._limit_s = limit_s
         self._operation = operation
-        self._device = device
         self._line = line
         self._hint = hint
         self._timer = asyncio.timeout(limit_s)
@@ -73,14 +133,21 @@ class Deadline:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        watch, part = self._watch, self._part
         try:
             await self._timer.__aexit__(kind, error, trace)
         except TimeoutError as expired:
-            raise DeviceTimeout(
-                "it did not end within its deadline.",
-                device=self._device,
+            failure = DeviceTimeout(
+                f"it did not end within its deadline; {watch.last_heard(part)}.",
+                device=watch.names[part],
                 operation=self._operation,
                 line=self._line,
                 waited_s=self._limit_s,
                 hint=self._hint,
-            ) from expired
+            )
+            watch.blame(part, failure)
+            raise failure from expired
+        if error is None:
+            watch.heard(part, self._operation, self._line)
+        elif isinstance(error, Exception):
+            watch.blame(part, error)

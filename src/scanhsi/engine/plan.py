@@ -26,6 +26,36 @@ class Mode(StrEnum):
     """The mirror sweeps at constant speed. Fastest; a line is smeared by the part of its pitch that passes while it is exposed."""
 
 
+@unique
+class OnFault(StrEnum):
+    """What a scan does about a fault on its way."""
+
+    ABORT = "abort"
+    """The first fault ends the scan, a lost frame too."""
+    SKIP = "skip"
+    """A lost frame costs its line, which is marked missing; a lost device ends the scan. Nothing is done twice."""
+    RETRY = "retry"
+    """A lost frame is taken again at its place (step modes), a lost device is opened anew, and the scan goes on with the first line
+    that it has not received."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What a scan does about faults, and for how long.
+
+    Attributes:
+        on_fault: What to do.
+        line_retries: How often one line may be tried again. Then a lost frame costs the line, a lost device the scan.
+        retries: How often lines may be tried again in all.
+        within_s: Time in which a lost device must be back.
+    """
+
+    on_fault: OnFault = OnFault.SKIP
+    line_retries: int = 3
+    retries: int = 100
+    within_s: float = 60.0
+
+
 class ScanPlan(Written):
     """A scan, as a person describes it: ``ScanPlan(lines=300, exposure="20 ms", mode="stepped")``.
 
@@ -60,6 +90,16 @@ class ScanPlan(Written):
         description="Stepped scans: send each move early, so that it begins as the exposure ends; the accepted probability that "
         "a line's begins before, which smears and flags the line. 0 goes only as far as is sure.",
     )
+    on_fault: OnFault = Field(
+        default=OnFault.SKIP,
+        description="skip: a lost frame costs its line, a lost device ends the scan; retry: lost frames are taken again, lost "
+        "devices opened anew; abort: the first fault ends the scan.",
+    )
+    line_retries: int = Field(default=3, ge=0, le=250, description="How often one line may be tried again.")
+    retries: int = Field(default=100, ge=0, description="How often lines may be tried again in all.")
+    recover_within_s: Seconds = Field(
+        default=60.0, alias="recover_within", gt=0, description="Time in which a lost device must be back."
+    )
 
     def model_post_init(self, context: object, /) -> None:
         """Refuse combinations that cannot mean anything."""
@@ -70,6 +110,11 @@ class ScanPlan(Written):
             raise ValueError(f"period is for continuous scans only; mode {self.mode} finds its own")
         if self.look_ahead is not None and self.mode is not Mode.STEPPED:
             raise ValueError(f"look_ahead is for stepped scans only, not for mode {self.mode}")
+
+    @property
+    def recovery(self) -> Recovery:
+        """What the scan does about faults."""
+        return Recovery(self.on_fault, self.line_retries, self.retries, self.recover_within_s)
 
     def steps(self, normal_step: int) -> NDArray[np.int64]:
         """Mirror step of each line, int64 (lines,)."""
@@ -88,6 +133,7 @@ class Course:
         angles_rad: Mirror angle of each line from the normal, float64 (lines,).
         period_s: Asked line period of a continuous scan; None for the shortest safe one.
         look_ahead: Of a stepped scan: accepted probability that a line is smeared by a move sent early; None sends none early.
+        recovery: What to do about faults.
     """
 
     mode: Mode
@@ -96,6 +142,7 @@ class Course:
     angles_rad: NDArray[np.float64]
     period_s: float | None = None
     look_ahead: float | None = None
+    recovery: Recovery = Recovery()
 
     @property
     def lines(self) -> int:

@@ -6,9 +6,10 @@ import asyncio
 
 from scanhsi.clock import now_ns
 from scanhsi.devices import Frame, FrameEvent, FrameGap
-from scanhsi.devices.errors import DeviceLost, ProtocolError
-from scanhsi.engine.deadlines import Deadline
-from scanhsi.engine.scan import Scan
+from scanhsi.devices.errors import DeviceLost, FrameLost, ProtocolError
+from scanhsi.engine.deadlines import Part
+from scanhsi.engine.plan import OnFault
+from scanhsi.engine.scan import FLUSH, Scan
 
 SILENT_LINES = 2
 """So many lines in a row without their frame and without a word from the camera: it is gone."""
@@ -17,20 +18,32 @@ SILENT_LINES = 2
 async def receive_exposed(scan: Scan) -> None:
     """Step modes: one event of the camera for each exposure, in order, each within its deadline."""
     events = _Events(scan)
-    silent = 0
-    while (line := await scan.exposed.get()) is not None:
+    faults = scan.faults
+    while (line := await scan.leg.exposed.get()) is not None:
         event = await events.next(line)
-        silent = silent + 1 if event is None else 0
+        faults.silent = faults.silent + 1 if event is None else 0
         if isinstance(event, Frame):
             await take(scan, event, line)
         elif isinstance(event, FrameGap):
-            scan.records.mark_missing(line, event.reason)
-        elif silent < SILENT_LINES:
-            scan.records.mark_missing(line, f"its frame did not arrive within {scan.deadlines.frame_s:g} s")
+            _lost(scan, line, event.reason)
+        elif faults.silent < SILENT_LINES:
+            _lost(scan, line, f"its frame did not arrive within {scan.deadlines.frame_s:g} s")
         else:
             raise _gone(scan, line)
         hand_on(scan, line)
-    scan.filled.put_nowait(None)
+
+
+def _lost(scan: Scan, line: int, reason: str) -> None:
+    """A frame will not come: as the plan has it, the line is missing, or an error says that it is to be taken again, or the end.
+
+    Raises:
+        FrameLost: The line is not given up.
+    """
+    faults = scan.faults
+    if faults.recovery.on_fault is OnFault.ABORT or faults.may_try_again(line):
+        raise FrameLost(f"{reason}.", device=scan.camera_info.name, operation="receive", line=line)
+    tries = faults.tries[line]
+    scan.records.mark_missing(line, f"{reason} (tried {tries + 1} times)" if tries else reason)
 
 
 class _Events:
@@ -38,6 +51,7 @@ class _Events:
 
     def __init__(self, scan: Scan) -> None:
         self._scan = scan
+        self._first = scan.leg.first
         self._stream = scan.camera.frames()
         self._held: FrameEvent | None = None
 
@@ -46,23 +60,28 @@ class _Events:
 
         What comes too late for a line that is given up already is let go; what belongs to a later line is kept for it.
         """
-        if self._held is None or past(self._held) <= line:
-            self._held = await self._receive(line)
+        exposure = line - self._first
+        if self._held is None or past(self._held) <= exposure:
+            self._held = await self._receive(line, exposure)
         event = self._held
-        if event is not None and (event.first if isinstance(event, FrameGap) else event.index) > line:
-            return FrameGap(line, 1, "its frame was lost without a word: the next one came")
+        if event is not None and (event.first if isinstance(event, FrameGap) else event.index) > exposure:
+            return FrameGap(exposure, 1, "its frame was lost without a word: the next one came")
         return event
 
-    async def _receive(self, line: int) -> FrameEvent | None:
+    async def _receive(self, line: int, exposure: int) -> FrameEvent | None:
         limit_s = self._scan.deadlines.frame_s
         try:
             async with asyncio.timeout(limit_s):
                 while (event := await anext(self._stream, None)) is not None:
-                    if past(event) > line:
+                    if past(event) > exposure:
+                        self._scan.watch.heard(Part.CAMERA, "frame", line)
                         return event
         except TimeoutError:
             return None
-        device = self._scan.camera.info.name
+        except Exception as error:
+            self._scan.watch.blame(Part.CAMERA, error)
+            raise
+        device = self._scan.camera_info.name
         raise ProtocolError("the frames ended before the last line.", device=device, line=line)
 
 
@@ -73,8 +92,8 @@ def past(event: FrameEvent) -> int:
 
 def _gone(scan: Scan, line: int) -> DeviceLost:
     return DeviceLost(
-        f"no frame came for {SILENT_LINES} lines in a row.",
-        device=scan.camera.info.name,
+        f"no frame came for {SILENT_LINES} lines in a row; {scan.watch.last_heard(Part.CAMERA)}.",
+        device=scan.camera_info.name,
         operation="receive",
         line=line,
         waited_s=scan.deadlines.frame_s,
@@ -92,7 +111,7 @@ async def take(scan: Scan, frame: Frame, line: int) -> None:
     if frame.device_ns is not None:
         records.device_ns[line] = frame.device_ns
     records.frame_id[line] = frame.frame_id
-    async with Deadline(scan.deadlines.frame_s, "unpack", device=scan.camera.info.name, line=line):
+    async with scan.watch(Part.CAMERA, scan.deadlines.frame_s, "unpack", line=line):
         await scan.camera.unpack(frame, scan.sink.buffer(line))
     stamps["copied"][line] = now_ns()
 
@@ -108,9 +127,16 @@ def hand_on(scan: Scan, line: int) -> None:
 async def write_lines(scan: Scan) -> None:
     """Hand lines to the sink in order; whatever it names safe frees its buffer."""
     while (line := await scan.filled.get()) is not None:
-        async with Deadline(scan.deadlines.store_s, "store", device="storage", line=line):
+        if line == FLUSH:
+            await _flush(scan)
+            continue
+        async with scan.watch(Part.STORAGE, scan.deadlines.store_s, "store", line=line):
             safe = await scan.sink.append(line)
         scan.credits.safe(safe)
-        scan.handed_over.release()
-    async with Deadline(scan.deadlines.store_s, "store", device="storage"):
+        scan.credits.handed_over(line)
+    await _flush(scan)
+
+
+async def _flush(scan: Scan) -> None:
+    async with scan.watch(Part.STORAGE, scan.deadlines.store_s, "store"):
         scan.credits.safe(await scan.sink.flush())

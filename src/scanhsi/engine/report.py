@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from scanhsi.clock import Granted
+from scanhsi.cube.records import Incident
 from scanhsi.timing.observed import StageTime
 
 
@@ -22,6 +23,7 @@ class Progress:
         lines_per_second: Over the lines so far.
         efficiency: Exposure time / line period so far.
         remaining_s: Estimated time left.
+        state: ``scanning``, ``paused`` or ``recovering`` (a lost device).
     """
 
     lines: int
@@ -32,6 +34,7 @@ class Progress:
     lines_per_second: float
     efficiency: float
     remaining_s: float
+    state: str = "scanning"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +68,11 @@ class ScanReport:
         missing_reasons: line -> reason.
         exposure_s: Exposure time of a line.
         duration_s: First trigger to last line stored (or discarded), loop clock.
-        period_s: Mean line period, between lines delivered; see `scanhsi.timing.observed.deliveries`.
+        period_s: Mean line period, between lines delivered, interruptions left out; see `scanhsi.timing.observed.deliveries`.
         lines_per_second: 1 / period.
         efficiency: T_exp / T_line (Eq. 3).
         bound_s: Shortest period that the same delays allow in this mode; None where they are not known. With look-ahead: for an
-            engine that knows beforehand when each motion will begin.
+            engine that knows beforehand when each motion will begin. Of a scan that was interrupted: of its longest stretch.
         regret: period / bound; None without one.
         stages: Stage name -> its time per line.
         output: Path of the cube; None when discarded.
@@ -77,6 +80,10 @@ class ScanReport:
         stopped_early: The scan was asked to stop before its last line.
         look_ahead: Accepted probability that a line is smeared; None without look-ahead.
         smeared: Lines flagged as smeared, because the mirror began to move before their exposure had ended.
+        resumed_at: First line of this session, of a cube that was resumed; None for a new one.
+        retaken: Lines that were tried more than once.
+        incidents: Faults and pauses on the way, what was done about them, and how long they took; earlier sessions' first.
+        interrupted_s: What they took, of this session.
         real_time: The event loop, and which real-time options were asked for and granted; None where the engine was run by itself.
         processed: What became of the processing beside it; None without.
     """
@@ -99,6 +106,10 @@ class ScanReport:
     smeared: int = 0
     missing_reasons: dict[int, str] = field(default_factory=dict[int, str])
     stages: dict[str, StageTime] = field(default_factory=dict[str, StageTime])
+    resumed_at: int | None = None
+    retaken: int = 0
+    incidents: tuple[Incident, ...] = ()
+    interrupted_s: float = 0.0
     real_time: Granted | None = None
     processed: Processed | None = None
 

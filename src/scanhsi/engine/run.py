@@ -1,4 +1,4 @@
-"""Run a scan: check everything, prepare, run the three tasks, leave everything safe, report.
+"""Run a scan: check everything, prepare, take it leg by leg, leave everything safe, report.
 
 ::
 
@@ -7,17 +7,16 @@
        └───────────── credits ─────────────────┘
 
 *Control* moves the mirror and exposes, *receive* takes the frames, *write* hands lines to storage. Credits, the window of lines
-that may be in memory, gate the trigger. The tasks live in one `asyncio.TaskGroup`: when one fails or is cancelled, all end, and
-the cleanup runs whatever happened.
+that may be in memory, gate the trigger. Control and receive are made anew for each leg (`scanhsi.engine.legs`), write lives as long
+as the scan. When a task fails or is cancelled, all end, and the cleanup runs whatever happened.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import cast
 
 from scanhsi.clock import now_ns
 from scanhsi.cube.records import LineRecords
@@ -27,33 +26,24 @@ from scanhsi.devices import (
     Camera,
     FreeRunning,
     HardwareTriggered,
+    OverlapsReadout,
     Range,
-    Sighting,
-    Sweep,
     Trigger,
     check_settings,
     require,
 )
-from scanhsi.devices.errors import DeviceTimeout, ScanFailed, ScanhsiError, UnsupportedFeature
+from scanhsi.devices.errors import ScanFailed, UnsupportedFeature
 from scanhsi.engine.cleanup import CleanupStep, clean_up, tell_nevertheless
-from scanhsi.engine.control import (
-    arrived,
-    as_foretelling,
-    as_sweeping,
-    as_telling_start,
-    look_ahead_and_expose,
-    step_and_expose,
-    sweep_past,
-    unless_stopped,
-)
-from scanhsi.engine.deadlines import HOME_S, STOP_S, STORE_S, Deadline, deadlines
+from scanhsi.engine.control import as_foretelling, as_sweeping, as_telling_start
+from scanhsi.engine.deadlines import STORE_S, Part, Watch, deadlines
+from scanhsi.engine.legs import TakeLeg, acquire, finish, plan_sweep, take_steps, take_sweep
 from scanhsi.engine.lookahead import Latencies
 from scanhsi.engine.plan import Course, Mode
-from scanhsi.engine.receive import receive_exposed, write_lines
 from scanhsi.engine.report import Progress, ScanReport
-from scanhsi.engine.scan import CAMERA_BUFFERS, Credits, Scan
+from scanhsi.engine.safety import leave_safe
+from scanhsi.engine.scan import CAMERA_BUFFERS, Credits, Faults, Scan
+from scanhsi.engine.steering import ScanControl
 from scanhsi.engine.summary import report
-from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
 from scanhsi.log import get_logger
 
 SLOWER = 1.01
@@ -71,6 +61,8 @@ async def run_scan(
     limits: Range | None = None,
     on_progress: Callable[[Progress], None] | None = None,
     stop: asyncio.Event | None = None,
+    control: ScanControl | None = None,
+    first: int = 0,
 ) -> ScanReport:
     """Scan, on connected devices.
 
@@ -79,35 +71,47 @@ async def run_scan(
 
     Args:
         course: What to take.
-        camera: Connected.
-        actuator: Connected.
+        camera: Connected. Closed and connected anew where the course says so and it is lost.
+        actuator: As the camera.
         sink: Where lines go; not opened yet.
         limits: Steps that the mirror may reach, where that is less than the actuator allows; run-ups of sweeps count.
         on_progress: Called at most four times a second, in the event loop.
         stop: Set it to finish the line under way and close, before the first line at once; the report then says ``stopped_early``.
+        control: Instead of ``stop``: pauses, too.
+        first: First line to be taken; those before it are in the sink already.
 
     Raises:
         OutOfRange, UnsupportedFeature, CubeExists, CubeError: Refused; nothing moved, nothing was overwritten.
         ScanFailed: It began and did not end well.
     """
+    if control is None:
+        control = ScanControl() if stop is None else ScanControl(stop)
+    elif stop is not None:
+        raise ValueError("give either stop or control")
     course = check(course, camera, actuator, limits)
     scan = Scan(
         course=course,
         camera=camera,
         actuator=actuator,
         sink=sink,
+        camera_info=camera.info,
+        actuator_info=actuator.info,
+        limits=limits or actuator.info.limits,
         records=LineRecords(course.lines),
         deadlines=deadlines(camera.info, actuator.info, course.settings.exposure_s, course.stride),
-        credits=Credits(camera=CAMERA_BUFFERS, storage=sink.capacity),
-        stop=stop or asyncio.Event(),
+        watch=Watch({Part.CAMERA: camera.info.name, Part.ACTUATOR: actuator.info.name, Part.STORAGE: "storage"}),
+        credits=Credits(CAMERA_BUFFERS, lambda: sink.capacity, first),
+        control=control,
+        faults=Faults(course.recovery),
+        first=first,
+        taken=first,
         on_progress=on_progress,
     )
-    scan.records.mirror_angle_rad[:] = course.angles_rad
     if course.look_ahead is not None:
         scan.latencies = Latencies(course.look_ahead)
-    acquire = await _configure(scan, limits)
+    take_leg = await _configure(scan)
     await _open_sink(scan)
-    failures = await _to_the_end(scan, acquire)
+    failures = await _to_the_end(scan, take_leg)
     if failures:
         _log.error(
             "scan failed", operation="scan", causes=[str(cause) for cause in failures], stored=scan.records.stored
@@ -123,33 +127,18 @@ async def _open_sink(scan: Scan) -> None:
     except BaseException:
         await clean_up([_close_sink(scan)])
         raise
+    scan.records.mirror_angle_rad[scan.first :] = scan.course.angles_rad[scan.first :]
+    scan.earlier_incidents = len(scan.records.incidents)
 
 
-async def _to_the_end(scan: Scan, acquire: Callable[[], Coroutine[None, None, None]]) -> list[BaseException]:
-    """Acquire and clean up; return what went wrong, first cause first.
-
-    The acquisition is a task of its own, so that a cancellation of the scan is seen as what it is, whatever a task group that
-    fails at the same time makes of it (CPython 3.11 and 3.12 leave the count of cancellations too high), and comes through.
-    """
-    failures: list[BaseException] = []
-    work = asyncio.ensure_future(acquire())
-    cancelled = False
-    try:
-        while not work.done():
-            try:
-                await asyncio.wait([work])
-            except asyncio.CancelledError:
-                cancelled = True
-                work.cancel()
-        if not work.cancelled() and (error := work.exception()) is not None:
-            failures += _leaves(error)
-    finally:
-        failures += await clean_up(_way_out(scan))
+async def _to_the_end(scan: Scan, take_leg: TakeLeg) -> list[BaseException]:
+    """Acquire and clean up; return what went wrong, first cause first."""
+    failures, cancelled = await finish(acquire(scan, take_leg))
+    scan.going_on("the scan ended")
+    failures += await clean_up([*leave_safe(scan), _close_sink(scan)])
     if cancelled:
         tell_nevertheless(failures)
         raise asyncio.CancelledError
-    if work.cancelled():
-        failures.append(ScanhsiError("a task of the scan was cancelled from outside."))
     return failures
 
 
@@ -175,89 +164,35 @@ def check(course: Course, camera: Camera, actuator: Actuator, limits: Range | No
     return replace(course, settings=settings)
 
 
-async def _configure(scan: Scan, limits: Range | None) -> Callable[[], Coroutine[None, None, None]]:
-    """Apply the settings and settle what can still be refused; return what does the rest. Nothing moves."""
-    async with Deadline(scan.deadlines.expose_s, "configure", device=scan.camera.info.name):
-        applied = await scan.camera.configure(scan.course.settings)
+async def _configure(scan: Scan) -> TakeLeg:
+    """Apply the settings and settle what can still be refused; return what takes a leg. Nothing moves."""
+    camera = scan.camera
+    async with scan.watch(Part.CAMERA, scan.deadlines.expose_s, "configure"):
+        applied = await camera.configure(scan.course.settings)
         scan.course = replace(scan.course, settings=applied)
-        if scan.course.mode is not Mode.CONTINUOUS:
-            return partial(_acquire_stepping, scan)
-        trigger = _sweep_trigger(scan.camera)
+        scan.dead_time_s = camera.dead_time_s() if isinstance(camera, OverlapsReadout) else None
+        if scan.course.mode is not Mode.CONTINUOUS or scan.over:
+            return partial(take_steps, scan)
+        trigger = _sweep_trigger(camera)
         period_s = await _line_period_s(scan, trigger)
-        sweep = _sweep(scan, trigger, period_s, limits)
-        if trigger is Trigger.FREE_RUN and sweep.period_s != period_s:  # both have to keep the same time
-            await _frame_clock(scan.camera).set_frame_period(sweep.period_s)
-    return partial(_acquire_sweeping, scan, sweep, trigger)
+        sweep = plan_sweep(scan, trigger, period_s)
+        _tell_if_slower(scan, sweep.period_s, period_s)
+        if trigger is Trigger.FREE_RUN:
+            scan.frame_period_s = period_s
+            if sweep.period_s != period_s:  # both have to keep the same time
+                scan.frame_period_s = await _frame_clock(camera).set_frame_period(sweep.period_s)
+    return partial(take_sweep, scan, trigger, period_s)
 
 
-def _sweep(scan: Scan, trigger: Trigger, period_s: float, limits: Range | None) -> Sweep:
-    """The sweep as the actuator will run it; it may be slower than asked, which is told where it matters."""
-    actuator = as_sweeping(scan.actuator)
-    sweep = actuator.check_sweep(
-        Sweep(
-            first=int(scan.course.steps[0]),
-            every=scan.course.stride,
-            count=scan.course.lines,
-            rate_steps_s=abs(scan.course.stride) / period_s,
-            pulses=trigger is Trigger.LINE,
-        )
-    )
-    if limits is not None:
-        for step in actuator.extent(sweep):
-            limits.check("end of the sweep's run-up or run-out", step, device=scan.actuator.info.name)
-    if sweep.period_s > SLOWER * period_s:
+def _tell_if_slower(scan: Scan, period_s: float, asked_s: float) -> None:
+    if period_s > SLOWER * asked_s:
         _log.warning(
             "the actuator sweeps slower than asked: it knows no rate between; take more steps a line, or another period",
-            device=scan.actuator.info.name,
+            device=scan.actuator_info.name,
             operation="check_sweep",
-            asked_s=period_s,
-            period_s=sweep.period_s,
+            asked_s=asked_s,
+            period_s=period_s,
         )
-    return sweep
-
-
-async def _home(scan: Scan) -> None:
-    """Home where that is due. A stop request ends this, as each motion before the first line, at once: no line is under way."""
-    if not scan.actuator.homed:
-        async with Deadline(HOME_S, "home", device=scan.actuator.info.name):
-            await unless_stopped(scan, scan.actuator.home())
-
-
-async def _acquire_stepping(scan: Scan) -> None:
-    await _home(scan)
-    first = int(scan.course.steps[0])
-    async with Deadline(scan.deadlines.first_move_s, f"move_to {first}", device=scan.actuator.info.name, line=0):
-        motion = await unless_stopped(scan, scan.actuator.move_to(first))
-    if motion is None:
-        return
-    arrived(scan, motion, 0)
-    await _arm(scan, Trigger.SOFTWARE)
-    control = step_and_expose if scan.latencies is None else look_ahead_and_expose
-    async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(control(scan), name="control")
-        tasks.create_task(receive_exposed(scan), name="receive")
-        tasks.create_task(write_lines(scan), name="write")
-
-
-async def _acquire_sweeping(scan: Scan, sweep: Sweep, trigger: Trigger) -> None:
-    await _home(scan)
-    actuator = as_sweeping(scan.actuator)
-    async with Deadline(scan.deadlines.first_move_s, "prepare_sweep", device=scan.actuator.info.name):
-        motion = await unless_stopped(scan, actuator.prepare_sweep(sweep))
-    if motion is None:
-        return
-    await _arm(scan, trigger)
-    scan.begun_ns = passing_ns(actuator.run_up_s(sweep))
-    places = Places(sweep, trigger, scan.begun_ns, partial(_locate, scan))
-    async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(sweep_past(scan, sweep), name="control")
-        tasks.create_task(receive_sweep(scan, sweep, places), name="receive")
-        tasks.create_task(write_lines(scan), name="write")
-
-
-async def _locate(scan: Scan) -> Sighting:
-    async with Deadline(STOP_S, "locate", device=scan.actuator.info.name):
-        return await as_sweeping(scan.actuator).locate()
 
 
 async def _line_period_s(scan: Scan, trigger: Trigger) -> float:
@@ -292,28 +227,5 @@ def _sweep_trigger(camera: Camera) -> Trigger:
     return Trigger.LINE if hardware else Trigger.FREE_RUN
 
 
-async def _arm(scan: Scan, trigger: Trigger) -> None:
-    async with Deadline(scan.deadlines.expose_s, "arm", device=scan.camera.info.name):
-        await scan.camera.arm(trigger, CAMERA_BUFFERS)
-
-
-def _way_out(scan: Scan) -> list[CleanupStep]:
-    """Mirror and camera at once, then storage, which needs neither."""
-    return [
-        CleanupStep("stop the mirror", scan.actuator.stop, STOP_S),
-        CleanupStep("disarm the camera", scan.camera.disarm, STOP_S),
-        _close_sink(scan),
-    ]
-
-
 def _close_sink(scan: Scan) -> CleanupStep:
-    return CleanupStep("close the cube", scan.sink.close, STORE_S, after=True)
-
-
-def _leaves(error: BaseException) -> list[BaseException]:
-    """The exceptions of a group, scanhsi's own first, for they say most, and deadlines behind what made others wait."""
-    if not isinstance(error, BaseExceptionGroup):
-        return [error]
-    group = cast(BaseExceptionGroup[BaseException], error)
-    leaves = [leaf for part in group.exceptions for leaf in _leaves(part)]
-    return sorted(leaves, key=lambda leaf: (not isinstance(leaf, ScanhsiError), isinstance(leaf, DeviceTimeout)))
+    return CleanupStep("close the cube", scan.sink.close, STORE_S, after=True, device="storage")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from scanhsi.cube.records import NOT_STAMPED
-from scanhsi.devices import OverlapsReadout
 from scanhsi.engine.report import ScanReport
 from scanhsi.engine.scan import CAMERA_BUFFERS, Scan
-from scanhsi.timing.bounds import bound, mean_period_ns
-from scanhsi.timing.observed import delays_of, delivered, deliveries, stage_times
+from scanhsi.timing.bounds import Bound, bound
+from scanhsi.timing.observed import Stamps, between, delays_of, delivered, deliveries, stage_times
 
 
 def report(scan: Scan, ended_ns: int) -> ScanReport:
@@ -17,22 +18,15 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
         scan: All of its lines are stored, discarded or missing.
         ended_ns: When the last was, loop clock.
     """
-    records, course, camera = scan.records, scan.course, scan.camera
+    records, course = scan.records, scan.course
     exposure_s = course.settings.exposure_s
-    duration_s = max(ended_ns - scan.begun_ns, 0) * 1e-9 if scan.taken else 0.0
-    arrived_ns = deliveries(records.stamps)
-    period_s = duration_s if len(arrived_ns) == 1 else mean_period_ns(arrived_ns) * 1e-9
-    starts, delays = delays_of(
-        records.stamps,
-        exposure_ns=round(exposure_s * 1e9),
-        readout_ns=round(camera.info.readout_s * 1e9),
-        dead_ns=round(camera.dead_time_s() * 1e9) if isinstance(camera, OverlapsReadout) else 0,
-        overlap=isinstance(camera, OverlapsReadout),
-        buffers=CAMERA_BUFFERS,
-        look_ahead=course.look_ahead is not None,
-    )
-    exposed = records.stamps["exposure_start"] != NOT_STAMPED
-    reached = bound(starts, delivered(records.stamps)[exposed], delays, course.mode)
+    taken = scan.taken > scan.first
+    duration_s = max(ended_ns - scan.begun_ns, 0) * 1e-9 if taken and scan.begun_ns is not None else 0.0
+    ours = {stage: column[scan.first :] for stage, column in records.stamps.items()}
+    breaks = [line - scan.first for line in scan.leg_starts]
+    legs = between(ours, breaks)
+    period_s = _period_s(legs, duration_s)
+    reached = _reached(scan, max(legs, key=lambda stamps: len(stamps["received"])))
     return ScanReport(
         mode=course.mode,
         lines=course.lines,
@@ -46,10 +40,38 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
         bound_s=reached.period_s if reached else None,
         regret=reached.regret if reached else None,
         output=scan.sink.output,
-        simulated=camera.info.simulated or scan.actuator.info.simulated,
+        simulated=scan.camera_info.simulated or scan.actuator_info.simulated,
         stopped_early=scan.taken < course.lines,
         look_ahead=course.look_ahead,
         smeared=int(records.smeared.sum()),
         missing_reasons=dict(sorted(records.missing.items())),
-        stages=stage_times(records.stamps),
+        stages=stage_times(ours, breaks),
+        resumed_at=scan.first or None,
+        retaken=int(np.count_nonzero(records.attempt > 1)),
+        incidents=tuple(records.incidents),
+        interrupted_s=sum(incident.lasted_s for incident in records.incidents[scan.earlier_incidents :]),
     )
+
+
+def _period_s(legs: list[Stamps], duration_s: float) -> float:
+    """Mean distance of lines delivered in one leg; what a single line took; nan where none came."""
+    arrived = [deliveries(stamps) for stamps in legs]
+    distances = sum(len(times) - 1 for times in arrived if len(times))
+    if distances:
+        return sum(int(times[-1] - times[0]) for times in arrived if len(times)) * 1e-9 / distances
+    return duration_s if any(len(times) for times in arrived) else float("nan")
+
+
+def _reached(scan: Scan, stamps: Stamps) -> Bound | None:
+    """How close a leg came to what its delays allow."""
+    starts, delays = delays_of(
+        stamps,
+        exposure_ns=round(scan.course.settings.exposure_s * 1e9),
+        readout_ns=round(scan.camera_info.readout_s * 1e9),
+        dead_ns=round((scan.dead_time_s or 0.0) * 1e9),
+        overlap=scan.dead_time_s is not None,
+        buffers=CAMERA_BUFFERS,
+        look_ahead=scan.course.look_ahead is not None,
+    )
+    exposed = stamps["exposure_start"] != NOT_STAMPED
+    return bound(starts, delivered(stamps)[exposed], delays, scan.course.mode)

@@ -14,8 +14,10 @@ from collections.abc import Awaitable, Callable
 
 from scanhsi.clock import now_ns, sleep_until_ns
 from scanhsi.devices import Frame, FrameEvent, FrameGap, FrameStream, Sighting, Sweep, Trigger
-from scanhsi.devices.errors import DeviceTimeout, ProtocolError
+from scanhsi.devices.errors import DeviceTimeout, FrameLost, ProtocolError
 from scanhsi.engine.control import as_sweeping
+from scanhsi.engine.deadlines import Part
+from scanhsi.engine.plan import OnFault
 from scanhsi.engine.receive import hand_on, past, take
 from scanhsi.engine.scan import Scan
 
@@ -31,15 +33,17 @@ class Places:
 
     Args:
         sweep: As it runs.
+        first: Its first line.
         trigger: LINE counts pulses; FREE_RUN counts the camera's own beats from the moment the mirror passes the first line.
         passing_ns: When the mirror passes the first line, as announced.
         locate: Asks the actuator where the mirror is, in doubt.
     """
 
     def __init__(
-        self, sweep: Sweep, trigger: Trigger, passing_ns: int, locate: Callable[[], Awaitable[Sighting]]
+        self, sweep: Sweep, first: int, trigger: Trigger, passing_ns: int, locate: Callable[[], Awaitable[Sighting]]
     ) -> None:
         self._sweep = sweep
+        self._first = first
         self._period_ns = sweep.period_s * 1e9
         self._trigger = trigger
         self._passing_ns = passing_ns
@@ -53,12 +57,12 @@ class Places:
         return self._shift > 0 and self._trigger is Trigger.LINE
 
     def line_of_exposure(self, index: int) -> int:
-        """Line of an exposure whose frame is lost; 0 as long as a free-running camera has given no frame to count from."""
+        """Line of an exposure whose frame is lost; the first as long as a free-running camera has given no frame to count from."""
         unknown = self._trigger is Trigger.FREE_RUN and self._previous is None
-        return 0 if unknown else index + self._shift
+        return self._first + (0 if unknown else index + self._shift)
 
     async def line_of(self, frame: Frame) -> int:
-        """Line of a frame; negative for one exposed before the mirror passed the first line."""
+        """Line of a frame; less than the first for one exposed before the mirror passed that."""
         if self._trigger is Trigger.FREE_RUN:
             if self._previous is None:
                 self._shift = round(self._late(frame))
@@ -66,7 +70,7 @@ class Places:
             seen = await self._seen(frame)
             self._shift = max(self._shift, round(late) + self._shift if seen is None else seen - frame.index)
         self._previous = frame
-        return frame.index + self._shift
+        return self._first + frame.index + self._shift
 
     def _late(self, frame: Frame) -> float:
         """How late a frame is, in periods: by the camera's clock after its predecessor, the first by the announced passing."""
@@ -79,7 +83,7 @@ class Places:
         return (frame.device_ns - previous.device_ns) / self._period_ns - (frame.index - previous.index)
 
     async def _seen(self, frame: Frame) -> int | None:
-        """Line of a frame by where the mirror is now and the time since its exposure began; None when that cannot be told."""
+        """Line of the sweep, by where the mirror is now and the time since the exposure began; None when that cannot be told."""
         if frame.exposure_start_ns is None:
             return None
         for _ in range(_SIGHTINGS):
@@ -98,35 +102,35 @@ class Places:
 async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
     """Take the frames of a sweep until each line has one or is known to be lost."""
     stream = scan.camera.frames()
-    line = 0
-    while line < sweep.count:
+    line, end = scan.leg.first, scan.course.lines
+    while line < end:
         event = await _next(scan, stream, sweep, line)
         if event is None:
-            if not scan.stop.is_set():
+            if not scan.leg.cut:
                 _give_up(scan, sweep, line)
             break
         if isinstance(event, FrameGap):
-            until = min(places.line_of_exposure(past(event)), sweep.count)
+            until = min(places.line_of_exposure(past(event)), end)
             line = _lose(scan, range(line, until), event.reason)
             continue
         place = await places.line_of(event)
         if place < line:
             continue
-        line = _lose(scan, range(line, min(place, sweep.count)), "the camera was still busy when this line was due")
-        if place < sweep.count:
+        line = _lose(scan, range(line, min(place, end)), "the camera was still busy when this line was due")
+        if place < end:
             line = await _take_or_drop(scan, event, line, sweep)
     if places.shifted:
         await _refuse_surplus(scan, stream)
-    scan.filled.put_nowait(None)
 
 
 async def _take_or_drop(scan: Scan, frame: Frame, line: int, sweep: Sweep) -> int:
     if not scan.credits.may_store(line):
         return _lose(scan, range(line, line + 1), "no free line buffer: storage was too slow for this sweep")
-    if not line and frame.exposure_start_ns is not None:
+    if line == scan.first and frame.exposure_start_ns is not None:
         scan.begun_ns = frame.exposure_start_ns
     records = scan.records
-    records.mirror_step[line] = sweep.first + line * sweep.every
+    records.attempt[line] = scan.faults.tries[line] + 1
+    records.mirror_step[line] = scan.course.steps[line]
     if frame.exposure_start_ns is not None:
         records.stamps["exposure_start"][line] = frame.exposure_start_ns
         exposure_ns = round(scan.course.settings.exposure_s * 1e9)
@@ -137,6 +141,8 @@ async def _take_or_drop(scan: Scan, frame: Frame, line: int, sweep: Sweep) -> in
 
 
 def _lose(scan: Scan, lines: range, reason: str) -> int:
+    if len(lines) and scan.faults.recovery.on_fault is OnFault.ABORT:
+        raise FrameLost(f"{reason}.", device=scan.camera_info.name, operation="receive", line=lines.start)
     for line in lines:
         scan.records.mark_missing(line, reason)
         hand_on(scan, line)
@@ -145,47 +151,55 @@ def _lose(scan: Scan, lines: range, reason: str) -> int:
 
 def _give_up(scan: Scan, sweep: Sweep, line: int) -> None:
     """The camera is silent. Behind the end of the sweep that costs the rest of the lines, before it the scan."""
-    if not (scan.motion_over.is_set() and line):
+    if not (scan.leg.motion_over.is_set() and line > scan.leg.first):
         raise DeviceTimeout(
-            "no frame came although the mirror is sweeping.",
-            device=scan.camera.info.name,
+            f"no frame came although the mirror is sweeping; {scan.watch.last_heard(Part.CAMERA)}.",
+            device=scan.camera_info.name,
             operation="receive",
             line=line,
             waited_s=_patience_s(scan, sweep, line),
             hint="check the trigger cable and the camera's trigger line; then power and network.",
         )
-    _lose(scan, range(line, sweep.count), "no frame came for the trigger of this line")
+    _lose(scan, range(line, scan.course.lines), "no frame came for the trigger of this line")
 
 
 async def _next(scan: Scan, stream: FrameStream, sweep: Sweep, line: int) -> FrameEvent | None:
     """The next event; None when the camera is silent beyond its deadline, or disarmed because a stop was asked for."""
     try:
         async with asyncio.timeout(_patience_s(scan, sweep, line)):
-            return await anext(stream, None)
+            event = await anext(stream, None)
     except TimeoutError:
         return None
+    except Exception as error:
+        scan.watch.blame(Part.CAMERA, error)
+        raise
+    scan.watch.heard(Part.CAMERA, "frame", line)
+    return event
 
 
 def _patience_s(scan: Scan, sweep: Sweep, line: int) -> float:
     """How long a frame may take after its predecessor; the first waits for the run-up, too."""
-    first_s = 0.0 if line else scan.deadlines.first_move_s + 2 * as_sweeping(scan.actuator).run_up_s(sweep)
+    first_s = (
+        0.0 if line > scan.leg.first else scan.deadlines.first_move_s + 2 * as_sweeping(scan.actuator).run_up_s(sweep)
+    )
     return first_s + 2 * sweep.period_s + scan.deadlines.frame_s
 
 
 async def _refuse_surplus(scan: Scan, stream: FrameStream) -> None:
     """A frame more than there are lines proves that a pulse was taken for lost that was not."""
-    await scan.motion_over.wait()
+    await scan.leg.motion_over.wait()
     try:
         async with asyncio.timeout(scan.settling_s):
             surplus = await anext(stream, None)
     except TimeoutError:
         return
     if isinstance(surplus, Frame):
-        raise ProtocolError(
+        error = ProtocolError(
             "there are more frames than lines: some came so late that they were taken for a later line.",
-            device=scan.camera.info.name,
+            device=scan.camera_info.name,
             hint="scan with a longer period.",
         )
+        raise scan.faults.beyond_repair(error)
 
 
 def passing_ns(run_up_s: float) -> int:

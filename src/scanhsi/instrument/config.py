@@ -150,6 +150,14 @@ class ScanDefaults(Written):
             ge=0, le=0.5, description="stepped scans: send moves early, with this probability that a line is smeared"
         ),
     ] = None
+    on_fault: Annotated[
+        Literal["abort", "skip", "retry"] | None, Field(description="what to do about lost frames and lost devices")
+    ] = None
+    line_retries: Annotated[int | None, Field(ge=0, le=250, description="how often one line may be tried again")] = None
+    retries: Annotated[int | None, Field(ge=0, description="how often lines may be tried again in all")] = None
+    recover_within_s: Annotated[
+        Seconds | None, Field(alias="recover_within", gt=0, description="time in which a lost device must be back")
+    ] = None
 
 
 class InstrumentConfig(Written):

@@ -6,8 +6,9 @@ Stamps are int64 columns in ns, one entry a line, `numpy.iinfo(int64).min` where
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +40,28 @@ class StageTime:
     max_s: float
 
 
-def stage_times(stamps: Stamps) -> dict[str, StageTime]:
+def stage_times(stamps: Stamps, breaks: Iterable[int] = ()) -> dict[str, StageTime]:
     """Time per line and stage: move, trigger, exposure, transfer, copy, store, and the whole line.
 
     ``line`` is the distance of successive `deliveries`.
+
+    Args:
+        stamps: Of one scan.
+        breaks: Lines before which something kept the scan from going on: that time is none of a line.
     """
     times = {stage: _elapsed(stamps[first], stamps[last]) for stage, (first, last) in _STAGES.items() if last in stamps}
-    times["line"] = np.diff(deliveries(stamps))
+    stretches = [np.diff(deliveries(stretch)) for stretch in between(stamps, breaks)]
+    times["line"] = np.concatenate(stretches)
     return {stage: _summary(values) for stage, values in times.items() if len(values)}
+
+
+def between(stamps: Stamps, breaks: Iterable[int]) -> list[Stamps]:
+    """The stamps of each stretch between breaks."""
+    lines = len(stamps["received"])
+    edges = sorted({0, lines, *(line for line in breaks if 0 < line < lines)})
+    return [{stage: column[first:last] for stage, column in stamps.items()} for first, last in pairwise(edges)] or [
+        stamps
+    ]
 
 
 def exposure_starts(stamps: Stamps) -> NDArray[np.int64]:
