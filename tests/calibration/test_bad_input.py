@@ -31,6 +31,7 @@ from scanhsi.calibration.result import Provenance
 from scanhsi.calibration.smile import calibrate_spectrograph
 from scanhsi.calibration.snr import signal_to_noise
 from scanhsi.calibration.tile import calibrate_with_tile, continuum_removed, find_minima
+from scanhsi.calibration.usaf import columns, place_target
 from scanhsi.calibration.wavelength import calibrate_with_lamp
 from scanhsi.calibration.white import white_reference
 from scanhsi.devices.errors import CalibrationError
@@ -92,6 +93,23 @@ def bars(values: np.ndarray) -> object:
     return bar_contrast([(0.5, values)], "sample", 0.05, NOWHERE)
 
 
+TARGET_PLANE = Geometry(350.0, 0.0, 2 * np.pi / 19_200, 0.25, 120.0, NOWHERE)
+
+
+def target() -> np.ndarray:
+    """A third of a USAF target's bars, well seen."""
+    picture = np.full((260, 240), 1000.0)
+    for one in columns():
+        if one.bar_mm > 0.6:
+            x, y = one.x_mm / 0.25 + 120, -one.y_mm / 0.229 + 130
+            lines, samples = np.arange(260.0)[:, None], np.arange(240.0)[None, :]
+            along, beside = (samples - x) * 0.25, (lines - y) * 0.229
+            along, beside = (along, beside) if one.axis == "sample" else (beside, along)
+            stripes = np.abs(np.abs(along) - (np.abs(along) > one.bar_mm) * 2 * one.bar_mm) < one.bar_mm / 2
+            picture[stripes & (np.abs(beside) < 2.5 * one.bar_mm)] = 60
+    return picture
+
+
 START = Geometry(350.0, 0.0, 2 * np.pi / 19_200, 0.1, 300.0, NOWHERE)
 
 
@@ -142,6 +160,7 @@ CASES = {
         lambda v: jitter(np.linspace(0, 20, len(v)), v, NOWHERE), lambda: rng().normal(0, 0.2, 60), light=False
     ),
     "edge": Case(lambda v: edge_response(v, "sample", 0.1, NOWHERE), edge),
+    "target": Case(lambda v: place_target(v, np.arange(len(v)) - 130.0, TARGET_PLANE, columns()), target),
     "bars": Case(bars, lambda: np.tile(500 + 300 * np.sin(np.arange(60) * np.pi / 10), (5, 1))),
 }
 

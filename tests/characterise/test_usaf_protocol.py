@@ -6,10 +6,11 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import scanhsi
 from scanhsi.calibration.resolution import BarContrast
-from scanhsi.characterise.bars_from_cube import Bars, bars_from_cube, load_bars
+from scanhsi.characterise.bars_from_cube import Bars, bars_from_cube, find_bars, load_bars
 from scanhsi.clock import run_virtual
 from scanhsi.instrument import load_instrument
 from scanhsi_sim.scenes.usaf import usaf_elements
@@ -32,6 +33,10 @@ def elements() -> list[Bars]:
             samples = round(sample - half_x / PITCH), round(sample + half_x / PITCH)
             found.append(Bars(axis, one.bar_mm, lines, samples))
     return found
+
+
+def by_size(bars: Bars) -> tuple[str, float]:
+    return bars.axis, -bars.bar_mm
 
 
 def test_bars_are_resolved_down_to_what_the_optics_leave(tmp_path: Path) -> None:
@@ -59,6 +64,18 @@ def test_bars_are_resolved_down_to_what_the_optics_leave(tmp_path: Path) -> None
     found: dict[str, BarContrast] = {}
     for axis in ("line", "sample"):
         found[axis] = bars_from_cube(tmp_path / "usaf.zarr", axis, load_bars(table))
+    located = find_bars(tmp_path / "usaf.zarr")
+    for truly, seen in zip(sorted(elements(), key=by_size), sorted(located, key=by_size), strict=True):
+        assert seen.axis == truly.axis
+        assert seen.bar_mm == pytest.approx(truly.bar_mm)
+        np.testing.assert_allclose(seen.samples, truly.samples, atol=2)  # 0.2 mm
+        inside = np.array([0 < line < LINES - 1 for line in seen.lines])
+        np.testing.assert_allclose(
+            np.array(seen.lines)[inside], np.array(truly.lines)[inside], atol=2
+        )  # 0.4 mm: jitter is 0.2
+    itself = bars_from_cube(tmp_path / "usaf.zarr", "sample", located)
+    np.testing.assert_allclose(itself.contrast[itself.bar_mm > 0.6], 1.0, atol=0.12)
+    assert itself.resolved_mm < 0.3
     frequency = 1 / (2 * found["sample"].bar_mm)
     expected = np.exp(-2 * np.pi**2 * 0.08**2 * frequency**2) * np.sinc(0.1 * frequency)
     wide = found["sample"].bar_mm > 0.6  # jitter along the scan takes lines out of shorter bars

@@ -10,6 +10,7 @@ import argparse
 import importlib
 import sys
 import time
+from pathlib import Path
 
 from rows import markdown
 
@@ -20,7 +21,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=(*PARTS, []), help="all by default")
     parser.add_argument("--seeds", type=int, default=20, help="instruments, where many are simulated")
+    parser.add_argument(
+        "--lines", metavar="FILE", help="write the wavelengths that are to be found, for identify.py, and end"
+    )
     arguments = parser.parse_args()
+    if arguments.lines:
+        lines = importlib.import_module("wavelength").lines_to_find()
+        Path(arguments.lines).write_text("\n".join(map(str, lines.wavelength_nm)))
+        return 0
     missed = 0
     for part in arguments.parts or PARTS:
         began = time.perf_counter()
