@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import timedelta
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def plane(provenance: Provenance = MADE) -> Geometry:
         ({"temperature_c": 40.2}, Limits(), "was at 25.0 degC and is at 40.2 degC", "--max-drift 16"),
     ],
 )
-def test_it_is_refused_with_the_reason_and_the_way_out(change: dict, limits: Limits, why: str, way_out: str) -> None:
+def test_it_is_refused_with_the_reason_and_the_way_out(change: dict[str, Any], limits: Limits, why: str, way_out: str) -> None:
     with pytest.raises(CalibrationError, match=f"the dark model dark.nc does not apply: .*{why}") as refused:
         check_applies(dark(), replace(CUBE, **change), limits, source="dark.nc")
     assert way_out in str(refused.value.hint)
@@ -59,7 +60,7 @@ def test_it_is_refused_with_the_reason_and_the_way_out(change: dict, limits: Lim
         ({"temperature_c": 40.2}, Limits(max_drift_c=16)),
     ],
 )
-def test_what_does_not_matter_is_not_refused(change: dict, limits: Limits) -> None:
+def test_what_does_not_matter_is_not_refused(change: dict[str, Any], limits: Limits) -> None:
     check_applies(dark(), replace(CUBE, **change), limits)
 
 

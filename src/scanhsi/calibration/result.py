@@ -167,13 +167,13 @@ def from_dataset(kind: type[R], dataset: xr.Dataset, name: str = "the dataset") 
 
 
 def identity(result: Result) -> str:
-    """Ten digits that name a result by what it holds and where it comes from, whatever its file is called."""
+    """Eight digits that name a result by what it holds and where it comes from, whatever its file is called."""
     dataset = to_dataset(result)
     digest = hashlib.sha256(json.dumps(dataset.attrs, sort_keys=True).encode())
     for name in sorted(map(str, dataset.variables)):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(dataset[name].values).tobytes())
-    return digest.hexdigest()[:10]
+    return digest.hexdigest()[:8]
 
 
 def save(result: Result, path: str | Path) -> None:

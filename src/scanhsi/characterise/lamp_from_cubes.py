@@ -73,18 +73,28 @@ def smile_from_cubes(
     return calibrate_spectrograph(lit.only("the lamp"), lit.provenance, lines=lines, degree=degree)[1]
 
 
-def keystone_from_cubes(cubes: Sequence[Path_], *, dark: DarkModel | None = None) -> Keystone:
+def keystone_from_cubes(cubes: Sequence[Path_], *, dark: DarkModel | None = None, white: str = "white") -> Keystone:
     """Keystone, from a target with structure along the slit, the mirror at rest.
 
     Args:
-        cubes: One of the target, and a dark one of the same exposure where there is no model.
+        cubes: One of the target, and a dark one of the same exposure where there is no model; with one of a white tile the response
+            of single pixels is divided out, which would count as structure.
         dark: Dark model instead.
+        white: What the cube of the white tile says that it is of.
 
     Raises:
         CalibrationError: Not these cubes; see `fit_keystone`.
     """
     lit = lit_frames(cubes, dark)
-    return fit_keystone(lit.only("the target"), lit.provenance)
+    flat = lit.frames.pop(white, None)
+    frame = lit.only("the target")
+    if flat is not None:
+        smooth = np.nanmedian(
+            flat, axis=1, keepdims=True
+        )  # of each band: brightness stays, and with it the weight of noise
+        with np.errstate(divide="ignore", invalid="ignore"):
+            frame = np.where(flat > 0, frame * smooth / flat, np.nan)
+    return fit_keystone(frame, lit.provenance)
 
 
 def tile_from_cubes(

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Final
 
+from scanhsi.calibration.kinds import KINDS
 from scanhsi.calibration.result import Provenance, Result
 from scanhsi.characterise.spec_instrument import instrument_rows
 from scanhsi.characterise.spec_row import Row, Timing
@@ -45,6 +46,7 @@ class Sheet:
     Attributes:
         name: Of the instrument.
         simulated: Whether any row is of a simulated instrument.
+        all_simulated: Whether every row that was measured is.
         table: Rows of Table 7, all of them, in its order.
         further: What else was measured.
         created: When, ISO 8601, UTC.
@@ -53,6 +55,7 @@ class Sheet:
 
     name: str
     simulated: bool
+    all_simulated: bool
     table: tuple[Row, ...]
     further: tuple[Row, ...]
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
@@ -80,15 +83,21 @@ def specification(
         rows += [row for row in instrument_rows(instrument) if row.key not in measured]
     youngest = {row.key: row for row in rows}  # later ones replace earlier ones
     youngest |= _worse_bar(youngest)
+    if "wavelength range" not in youngest and "wavelength range tile" in youngest:
+        youngest["wavelength range"] = replace(youngest.pop("wavelength range tile"), key="wavelength range")
     table = tuple(
         replace(youngest[key], title=title, paper=paper)
         if key in youngest
         else Row(key, title, NOT_MEASURED, paper=paper)
         for key, (title, paper) in TABLE_7.items()
     )
-    further = tuple(row for key, row in youngest.items() if key not in TABLE_7)
-    simulated = any(row.simulated for row in (*table, *further))
-    return Sheet(instrument.name if instrument else "line-scanning imager", simulated, table, further)
+    by_kind = sorted(results, key=lambda pair: list(KINDS).index(pair[1].kind))
+    places = [row.key for name, result in by_kind for row in result_rows(result, name)]
+    rest = [row for key, row in youngest.items() if key not in TABLE_7]
+    further = tuple(sorted(rest, key=lambda row: places.index(row.key) if row.key in places else len(places)))
+    told = [row.simulated for row in (*table, *further) if row.simulated is not None]
+    name = instrument.name if instrument else "line-scanning imager"
+    return Sheet(name, any(told), bool(told) and all(told), table, further)
 
 
 def _worse_bar(rows: Mapping[str, Row]) -> dict[str, Row]:

@@ -29,7 +29,7 @@ def _backlash(result: Backlash, make: Make) -> list[Row]:
 
 
 def _repeatability(result: Repeatability, make: Make) -> list[Row]:
-    ways = f"{result.upwards_steps:.2f} upwards, {result.downwards_steps:.2f} downwards"
+    ways = f"{result.upwards_steps:.2f} steps upwards, {result.downwards_steps:.2f} downwards"
     both = (
         f"{result.repeatability_steps:.2f} steps, {result.repeatability_steps * result.step_mm:.2f} mm straight ahead"
     )
@@ -46,7 +46,7 @@ def _repeatability(result: Repeatability, make: Make) -> list[Row]:
             "Repeatability, unidirectional, 4 s",
             max(result.upwards_steps, result.downwards_steps),
             "steps",
-            text=f"{ways} steps",
+            text=ways,
         ),
         make("approach", "Standard deviation of an approach", result.sigma_steps, "steps", result.sigma_error_steps),
         make("reversal", "Mean reversal value", result.reversal_steps, "steps", result.reversal_sigma_steps),

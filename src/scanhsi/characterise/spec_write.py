@@ -50,29 +50,35 @@ def to_markdown(sheet: Sheet) -> str:
             f"# Specifications of {sheet.name}",
             "",
             *loud,
-            *_table(sheet.table, paper=True),
+            *_table(sheet, sheet.table, paper=True),
             "",
-            *(["## Further characteristics", "", *_table(sheet.further, paper=False), ""] if sheet.further else []),
+            *(
+                ["## Further characteristics", "", *_table(sheet, sheet.further, paper=False), ""]
+                if sheet.further
+                else []
+            ),
             f"Made {sheet.created} by scanhsi {sheet.version}. Rows and their order: Table 7 of *Sensors* 2019, 19(7), 1692.",
             "",
         ]
     )
 
 
-def _table(rows: Sequence[Row], *, paper: bool) -> list[str]:
+def _table(sheet: Sheet, rows: Sequence[Row], *, paper: bool) -> list[str]:
     columns = _COLUMNS if paper else _COLUMNS[:-1]
     head = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
-    return head + [f"| {' | '.join(_cells(row)[: len(columns)])} |" for row in rows]
+    return head + [f"| {' | '.join(_cells(sheet, row)[: len(columns)])} |" for row in rows]
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(sheet: Sheet, row: Row) -> list[str]:
     value = f"*{NOT_MEASURED}*" if row.value == NOT_MEASURED else row.value
-    return [row.title, value, row.uncertainty, _origin(row), row.paper]
+    return [row.title, value, row.uncertainty, _origin(sheet, row), row.paper]
 
 
-def _origin(row: Row) -> str:
-    told = ", ".join(part for part in (Path(row.source).name if row.source else "", row.taken[:10]) if part)
-    return f"{told} (simulated)" if row.simulated else told
+def _origin(sheet: Sheet, row: Row) -> str:
+    """File, identity and date of the result; that it is simulated only where not all is, as the head says."""
+    name = f"{Path(row.source).name if row.source else ''} {row.identity}".strip()
+    told = ", ".join(part for part in (name, row.taken[:10]) if part)
+    return f"{told} (simulated)" if row.simulated and not sheet.all_simulated else told
 
 
 def _write_pdf(sheet: Sheet, path: Path) -> None:
@@ -91,8 +97,10 @@ def draw_pages(sheet: Sheet) -> list[Figure]:
     return page.figures
 
 
-_WIDTHS: Final = (29, 36, 17, 26, 19)
-_PLACES: Final = (0.07, 0.285, 0.535, 0.66, 0.845)
+_WITH_PAPER: Final = ((0.07, 0.275, 0.52, 0.635, 0.845), (28, 32, 15, 29, 18))
+_WITHOUT_PAPER: Final = ((0.07, 0.36, 0.585, 0.692), (43, 33, 15, 40))
+"""Where columns begin, as shares of the page, and how many characters they take."""
+
 _LINE: Final = 0.0118
 _BOTTOM: Final = 0.055
 
@@ -128,23 +136,24 @@ class _Page:
 
     def rows(self, rows: Sequence[Row], *, paper: bool) -> None:
         """A table."""
-        self._columns(paper=paper)
+        places, widths = _WITH_PAPER if paper else _WITHOUT_PAPER
+        self._columns(places)
         for row in rows:
-            cells = [row.title, row.value, row.uncertainty, _origin(row), row.paper][: 5 if paper else 4]
-            wrapped = [textwrap.wrap(cell, width) or [""] for cell, width in zip(cells, _WIDTHS, strict=False)]
+            cells = [row.title, row.value, row.uncertainty, _origin(self._sheet, row), row.paper][: len(widths)]
+            wrapped = [textwrap.wrap(cell, width) or [""] for cell, width in zip(cells, widths, strict=True)]
             height = _LINE * max(map(len, wrapped)) + 0.004
             if self._top - height < _BOTTOM:
                 self._begin()
-                self._columns(paper=paper)
+                self._columns(places)
             colour = "0.5" if row.value == NOT_MEASURED else "black"
             rule = Line2D([0.07, 0.97], [self._top + 0.002] * 2, color="0.85", linewidth=0.5)
             self._figure.add_artist(rule)
-            for place, lines in zip(_PLACES, wrapped, strict=False):
+            for place, lines in zip(places, wrapped, strict=True):
                 self._text(place, self._top - 0.001, "\n".join(lines), fontsize=7, color=colour, linespacing=1.15)
             self._top -= height
 
-    def _columns(self, *, paper: bool) -> None:
-        for place, title in zip(_PLACES[: 5 if paper else 4], _COLUMNS, strict=False):
+    def _columns(self, places: Sequence[float]) -> None:
+        for place, title in zip(places, _COLUMNS, strict=False):
             self._text(place, self._top, title, fontsize=7.5, fontweight="bold")
         self._top -= 0.016
 

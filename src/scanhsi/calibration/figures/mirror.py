@@ -63,9 +63,10 @@ def draw_repeatability(result: Repeatability) -> Figure:
     low, high = left.get_ylim()
     left.set_ylim(low, high + 0.2 * (high - low))
     left.legend(title="mean and 2 s", ncols=2, loc="upper center")
+    rest = result.deviation_steps - result.mean_steps[:, None]
+    bins = np.linspace(float(rest.min()), float(rest.max()), 13).tolist()
     for way, (colour, name, _) in enumerate(_WAYS):
-        rest = result.deviation_steps[way] - result.mean_steps[way]
-        right.hist(rest.ravel(), 14, color=colour, histtype="step", label=name)
+        right.hist(rest[way].ravel(), bins, color=colour, histtype="step", label=name)
     right.set_xlabel("deviation from the direction's mean / steps")
     right.set_ylabel("approaches")
     right.set_title(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -111,8 +112,10 @@ def draw_bars(result: BarContrast) -> Figure:
 
 def draw_wavelength(result: Wavelength) -> Figure:
     """Wavelength of the bands, what the lines leave, and the width of the lines (figures 9 and 10)."""
-    figure = sheet(f"Wavelengths, {result.source}", result.provenance)
-    left, middle, right = figure.subplots(1, 3)
+    figure = sheet(f"Wavelengths, {Path(result.source).name}", result.provenance)
+    shows_width = bool(np.isfinite(result.line_fwhm_nm).any())  # the bands of a tile are wide by themselves
+    axes = figure.subplots(1, 2 + shows_width)
+    left, middle = axes[:2]
     left.plot(np.arange(result.bands), result.nm(), color=BLUE, linewidth=1)
     left.plot(result.line_band, result.line_nm, "o", color=ORANGE, markersize=3)
     left.set_xlabel("band")
@@ -125,6 +128,9 @@ def draw_wavelength(result: Wavelength) -> Figure:
     middle.axhline(0, color=GREY, linewidth=0.8)
     middle.set_xlabel("wavelength / nm")
     middle.set_ylabel("line less polynomial / pm")
+    if not shows_width:
+        return figure
+    right = axes[2]
     right.errorbar(
         result.line_nm, result.line_fwhm_nm, yerr=result.line_fwhm_sigma_nm, fmt="o", color=BLUE, markersize=3
     )

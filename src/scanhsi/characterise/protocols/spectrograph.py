@@ -91,12 +91,12 @@ class SpectrographProtocols(Protocols):
         exposure_s: float | None = None,
         frames: int = 20,
     ) -> Keystone:
-        """Keystone, from the slanted lines with the mirror at rest.
+        """Keystone, from the slanted lines with the mirror at rest, and a white tile that shows the response of the pixels.
 
         Args:
             output: File of the result.
             dark: Dark model; None takes a dark cube as well.
-            exposure_s: Default: found by `auto_exposure` on the target.
+            exposure_s: Default: found by `auto_exposure` on the white tile.
             frames: To average.
 
         Raises:
@@ -106,7 +106,7 @@ class SpectrographProtocols(Protocols):
         def work_out(cubes: list[Path]) -> Keystone:
             return keystone_from_cubes(cubes, dark=dark)
 
-        return await self._lit(output, [SLANTED_LINES], dark, exposure_s, 0.85, frames, work_out)
+        return await self._lit(output, [WHITE, SLANTED_LINES], dark, exposure_s, 0.85, frames, work_out)
 
     async def wavelength_tile(
         self,

@@ -92,7 +92,7 @@ def smile(
 
 
 def keystone(given: Given, dark: Dark = None, exposure: Exposure = None, frames: Frames = 20) -> Work:
-    """Keystone, from the slanted lines with the mirror at rest.
+    """Keystone, from the slanted lines with the mirror at rest, and a white tile.
 
     [bold]Example[/]: scanhsi calibrate keystone characterise -o keystone.nc
     """
