@@ -19,7 +19,7 @@ from scanhsi.log import get_logger
 from scanhsi.service.idempotency import Idempotency
 from scanhsi.service.models import Problem
 from scanhsi.service.problems import MEDIA_TYPE, problem_of
-from scanhsi.service.routes import cubes, instrument, jobs, lease, sockets
+from scanhsi.service.routes import cubes, downloads, instrument, jobs, lease, plans, results, sockets, system
 from scanhsi.service.security import Guard, Security
 from scanhsi.service.station import Station
 
@@ -30,6 +30,9 @@ TAGS: Final = [
     {"name": "camera", "description": "Settings and live view."},
     {"name": "mirror", "description": "Motion, and STOP."},
     {"name": "jobs", "description": "Scans, calibrations and the like: one at a time."},
+    {"name": "plans", "description": "Plan aids and recipes."},
+    {"name": "results", "description": "Results of calibrations, and the specification sheet."},
+    {"name": "system", "description": "The log, and what errors mean."},
     {"name": "cubes", "description": "What was measured."},
 ]
 _log = get_logger(__name__)
@@ -62,7 +65,7 @@ def _api() -> FastAPI:
         generate_unique_id_function=_operation_id,
     )
     api = APIRouter(prefix=PREFIX)
-    for group in (instrument, lease, jobs, cubes, sockets):
+    for group in (instrument, lease, plans, jobs, cubes, downloads, results, system, sockets):
         api.include_router(group.router)
     app.include_router(api)
     app.mount("/", StaticFiles(directory=str(files("scanhsi.service") / "static"), html=True), name="page")

@@ -19,7 +19,7 @@ _NICE: Final = 10
 class Background:
     """A few threads of low priority. The default threads of the loop are the scan's: they compress and store lines."""
 
-    def __init__(self, threads: int = 2) -> None:
+    def __init__(self, threads: int = 3) -> None:
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="viewers", initializer=_give_way)
 
     async def run(self, fn: Callable[[Unpack[Ts]], T], *args: *Ts) -> T:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from scanhsi.devices.errors import ConfigError, CubeExists
+from scanhsi.service.downloads import TEMPORARY
 from scanhsi.service.refusals import NoSuch
 
 NAME: Final = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$"
@@ -25,6 +26,8 @@ class Folder:
     def __init__(self, root: Path) -> None:
         root.mkdir(parents=True, exist_ok=True)
         self.root = root.resolve()
+        for left in self.root.glob(f"{TEMPORARY}*"):  # of downloads of a service that was killed
+            shutil.rmtree(left, ignore_errors=True)
 
     @property
     def free_bytes(self) -> int:
@@ -67,6 +70,21 @@ class Folder:
         if path.suffix != ".nc" or not path.is_file():
             raise NoSuch(f"there is no result {name}.", hint="GET /api/v1/calibrations")
         return path
+
+    def file(self, name: str, ending: str) -> Path:
+        """Path of a small file of ours; it need not be there.
+
+        Raises:
+            NoSuch: The name may not stand there.
+        """
+        path = self.root / (name + ending)
+        if not _NAME.fullmatch(name) or path.is_symlink():
+            raise NoSuch(f"there is no {name[:100]!r}.")
+        return path
+
+    def files(self, ending: str) -> list[Path]:
+        """All files of ours with an ending."""
+        return [path for path in self._entries() if path.name.endswith(ending) and path.is_file()]
 
     def cubes(self) -> list[Path]:
         """All cubes, the youngest first."""

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scanhsi.devices import PixelFormat
 from scanhsi.engine import Mode
+from scanhsi.service.downloads import DownloadFormat
 from scanhsi.service.folder import NAME
 from scanhsi.service.jobs import Job, JobState, plain
 from scanhsi.service.lease import DEFAULT_S, LONGEST_S, SHORTEST_S
@@ -278,3 +279,145 @@ class SpectraModel(BaseModel):
     lines: list[int]
     samples: list[int]
     spectra: list[list[float | None]]
+
+
+class Recipe(Body):
+    """A named plan."""
+
+    plan: PlanBody = Field(default_factory=PlanBody)
+    target: str | None = Field(default=None, max_length=200)
+    note: str | None = Field(default=None, max_length=1000)
+
+
+class RecipeEntry(Recipe):
+    """A recipe in the list."""
+
+    name: str
+
+
+class FieldBody(Body):
+    """A field of view."""
+
+    height_mm: float = Field(gt=0, le=100_000, description="Length along the scan.", examples=[100.0])
+    step: int | None = Field(
+        default=None, ge=1, le=100_000, description="Steps from line to line; square pixels if left out."
+    )
+    f_number: float | None = Field(default=None, gt=0, le=1000)
+    focal_mm: float | None = Field(default=None, gt=0, le=10_000)
+
+
+class FieldPlanModel(BaseModel):
+    """A scan of a field; see scanhsi.characterise.planner.FieldPlan."""
+
+    lines: int
+    step: int
+    start: int
+    line_pitch_mm: float
+    edge_pitch_mm: float
+    sample_pitch_mm: float
+    aspect: float = Field(description="Line pitch over sample pitch; 1 is a square pixel.")
+    height_mm: float
+    width_mm: float
+    view_rad: float
+    linear: bool
+    defocus_mm: float
+    depth_of_field_mm: float | None
+    sharp: bool | None
+
+
+class PlanTime(BaseModel):
+    """What a plan costs, from the delays of the instrument; see scanhsi.timing.prediction.Prediction."""
+
+    mode: Mode
+    pixel_format: PixelFormat
+    period_s: float
+    means_period_s: float
+    lines_per_second: float
+    efficiency: float
+    scan_s: float
+    circuit: str
+    critical: list[str]
+    smear: float = Field(description="Part of a line pitch that passes during an exposure.")
+    mtf: float
+    marks: list[str] = Field(description="Where the delays come from.")
+
+
+class PlanField(BaseModel):
+    """What a plan shows, in the object plane."""
+
+    height_mm: float | None
+    y_mm: list[float | None]
+    width_mm: float | None
+    line_pitch_mm: float
+    sample_pitch_mm: float | None
+    aspect: float | None = Field(description="Line pitch over sample pitch; 1 is a square pixel.")
+    square_step: int | None = Field(description="Step that makes pixels most nearly square.")
+    edge_stretch: float | None = Field(description="Line pitch at the ends over that at the normal.")
+    defocus_mm: float | None = Field(description="How much farther away the ends are.")
+    linear: bool = Field(description="Within 22.5 degrees of the normal (Eq. 13).")
+
+
+class PlanFacts(BaseModel):
+    """What a plan comes to."""
+
+    plan: dict[str, Any]
+    first_step: int
+    last_step: int
+    size_bytes: int = Field(description="Of the pixels, before they are compressed.")
+    time: PlanTime | None = Field(description="Null where the delays of the instrument are not known.")
+    field: PlanField
+
+
+class ResultEntry(BaseModel):
+    """The result of a calibration."""
+
+    id: str
+    kind: str
+    taken: str
+    age_s: float | None
+    simulated: bool | None
+    temperature_c: float | None
+    applies: bool = Field(description="Whether it may be used on cubes taken now: age, gain, format, region.")
+    why_not: str | None
+    conditions: dict[str, Any] = Field(description="Under which it was taken: gain, format, region.")
+    rows: list[dict[str, Any]] = Field(description="Rows of the specification sheet.")
+
+
+class SheetModel(BaseModel):
+    """The specification sheet; see scanhsi.characterise.spec.Sheet."""
+
+    name: str
+    simulated: bool
+    table: list[dict[str, Any]] = Field(description="Rows of Table 7 of the paper.")
+    further: list[dict[str, Any]]
+    created: str
+    version: str
+
+
+class DownloadBody(Body):
+    """As what a cube is to be downloaded."""
+
+    format: DownloadFormat = "zarr"
+
+
+class DownloadModel(BaseModel):
+    """Where it is."""
+
+    url: str
+    expires_s: float
+
+
+class ProblemKind(BaseModel):
+    """What an error means."""
+
+    error: str
+    explanation: str
+
+
+class BenchmarkBody(Body):
+    """Scans that store nothing, to see how fast the instrument is."""
+
+    exposures_s: list[Annotated[float, Field(gt=0)]] = Field(default=[0.02, 0.05, 0.1], min_length=1, max_length=20)
+    modes: list[Mode] = Field(default=[Mode.SEQUENTIAL, Mode.STEPPED, Mode.CONTINUOUS], min_length=1, max_length=3)
+    pixel_formats: list[PixelFormat] = Field(default=[PixelFormat.MONO8], min_length=1, max_length=4)
+    lines: int = Field(default=50, ge=10, le=1000)

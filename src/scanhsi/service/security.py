@@ -163,8 +163,8 @@ class Guard:
                 f"this service is not called {host[:100]!r}.", hint="scanhsi serve --allow-host NAME, or its IP address"
             )
         _refuse_other_sites(scope, headers, host)
-        if not scope["path"].startswith("/api/"):
-            return  # the page itself: no secret in it
+        if not scope["path"].startswith("/api/") or scope["path"].startswith("/api/v1/downloads/"):
+            return  # the page itself: no secret in it; a download that was prepared: its address is the secret
         if security.token is None:
             return
         shown = _bearer(headers)

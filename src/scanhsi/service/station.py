@@ -21,6 +21,7 @@ from scanhsi.devices.errors import DeviceBusy, PositionLost, ScanhsiError, Unsup
 from scanhsi.imager import Imager
 from scanhsi.log import get_logger
 from scanhsi.service.background import Background
+from scanhsi.service.downloads import Tickets
 from scanhsi.service.events import Events
 from scanhsi.service.folder import Folder
 from scanhsi.service.jobs import Job, Jobs, plain
@@ -68,6 +69,7 @@ class Station:
         self.background = Background()
         self.preview = Preview(self.background)
         self.lease = Lease(self._lease_changed)
+        self.tickets = Tickets()
         self.jobs = Jobs(self._job_changed)
         self.logged: deque[dict[str, Any]] = deque(maxlen=LOGGED)
         plan = imager.default_plan()

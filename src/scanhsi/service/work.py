@@ -12,13 +12,14 @@ import numpy as np
 
 from scanhsi.calibration.result import Result
 from scanhsi.characterise.aids import auto_exposure
-from scanhsi.characterise.spec_rows import Row, result_rows
+from scanhsi.characterise.spec_rows import result_rows
 from scanhsi.characterise.station import Target
 from scanhsi.clock import RealTime
 from scanhsi.cube.records import NOT_STAMPED, LineRecords
+from scanhsi.devices import PixelFormat
 from scanhsi.devices.errors import ConfigError
 from scanhsi.devices.frames import Pixels
-from scanhsi.engine import Progress, ScanPlan
+from scanhsi.engine import Mode, Progress, ScanPlan
 from scanhsi.service.jobs import Job, plain
 from scanhsi.service.station import Station
 from scanhsi.timing.observed import deliveries
@@ -164,6 +165,41 @@ def auto_exposure_job(station: Station, target: float) -> Job:
     return station.begin(Job("auto-exposure", f"auto-exposure to {100 * target:g} % of full scale"), work)
 
 
+def benchmark_job(
+    station: Station, *, exposures_s: Sequence[float], modes: Sequence[Mode], formats: Sequence[PixelFormat], lines: int
+) -> Job:
+    """Measure line periods: short scans that store nothing.
+
+    Raises:
+        OutOfRange, UnsupportedFeature: One of them is not possible here; nothing moved.
+        DeviceBusy: A job is under way.
+    """
+    imager = station.imager
+    plans = [
+        imager.default_plan(mode=mode, pixel_format=format, exposure_s=exposure_s, lines=lines)
+        for format in formats
+        for mode in modes
+        for exposure_s in exposures_s
+    ]
+    for plan in plans:
+        imager.course(plan)
+    job = Job("benchmark", f"benchmark: {len(plans)} scans of {lines} lines")
+
+    async def work(job: Job) -> dict[str, Any]:
+        rows: list[dict[str, Any]] = []
+        for number, plan in enumerate(plans):
+            said = f"{number + 1} of {len(plans)}: {plan.mode}, {plan.pixel_format}, {1000 * plan.exposure_s:g} ms"
+            station.jobs.tell(job, said)
+            report = await imager.scan(plan, None)
+            rows.append({"pixel_format": str(plan.pixel_format), **{name: getattr(report, name) for name in _MEASURED}})
+        return {"simulated": imager.instrument.simulated, "lines": lines, "rows": rows}
+
+    return station.begin(job, work)
+
+
+_MEASURED: Final = ("mode", "exposure_s", "period_s", "lines_per_second", "efficiency", "bound_s", "regret", "missing")
+
+
 def calibration_job(station: Station, kind: Calibration, output: str | None, options: dict[str, Any]) -> Job:
     """Start a calibration. A person is asked for targets, unless the camera is simulated and knows them.
 
@@ -188,5 +224,4 @@ def calibration_job(station: Station, kind: Calibration, output: str | None, opt
 
 def rows_of(result: Result, path: Path) -> list[dict[str, Any]]:
     """What a result says, as rows of the specification sheet."""
-    rows: Sequence[Row] = result_rows(result, path.name)
-    return [plain(row) for row in rows]
+    return [plain(row) for row in result_rows(result, path.name)]

@@ -10,6 +10,7 @@ from fastapi import APIRouter
 from scanhsi.devices import ShowsScenes
 from scanhsi.devices.capabilities import capabilities_of
 from scanhsi.engine import Mode
+from scanhsi.service.downloads import FORMATS
 from scanhsi.service.jobs import plain
 from scanhsi.service.models import (
     CameraModel,
@@ -27,7 +28,6 @@ from scanhsi.service.station import MirrorState
 from scanhsi.service.work import CALIBRATIONS
 
 router = APIRouter()
-FORMATS = ["zarr", "envi", "netcdf", "matlab"]
 
 
 @router.get("/state", tags=["instrument"], responses=problems())
@@ -62,7 +62,7 @@ async def get_capabilities(station: StationHere) -> CapabilitiesModel:
         wavelength_nm=config.spectral.wavelengths_nm(shape[0], offset).tolist() if config.spectral else None,
         modes=list(Mode),
         calibrations=list(CALIBRATIONS),
-        formats=FORMATS,
+        formats=list(FORMATS),
         versions={"scanhsi": version("scanhsi"), "python": platform.python_version()},
     )
 

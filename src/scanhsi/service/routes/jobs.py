@@ -7,9 +7,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path
 from pydantic import Field
 
-from scanhsi.service.models import Body, JobModel, Name, ScanBody
+from scanhsi.service.models import BenchmarkBody, Body, JobModel, Name, ScanBody
+from scanhsi.service.recipes import read_recipe
 from scanhsi.service.routes.common import IN_CONTROL, StationHere, problems
-from scanhsi.service.work import Calibration, auto_exposure_job, calibration_job, plan_for, scan_job
+from scanhsi.service.work import Calibration, auto_exposure_job, benchmark_job, calibration_job, plan_for, scan_job
 
 router = APIRouter()
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{1,32}$", description="Id of the job.", examples=["3f9c1a2b4d5e"])]
@@ -51,8 +52,11 @@ class AutoExposureBody(Body):
 @router.post("/scans", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409, 503, 504))
 async def start_scan(station: StationHere, body: ScanBody) -> JobModel:
     """Scan. Answers at once; the job tells how far it is."""
-    plan = plan_for(station, body.plan.given())
-    job = scan_job(station, plan, body.output, discard=body.discard, target=body.target, real_time=body.real_time)
+    recipe = None if body.recipe is None else read_recipe(station.folder, body.recipe)
+    begun = {} if recipe is None else recipe.plan.given()
+    target = body.target if body.target is not None or recipe is None else recipe.target
+    plan = plan_for(station, begun | body.plan.given())
+    job = scan_job(station, plan, body.output, discard=body.discard, target=target, real_time=body.real_time)
     return JobModel.of(job)
 
 
@@ -60,6 +64,16 @@ async def start_scan(station: StationHere, body: ScanBody) -> JobModel:
 async def start_calibration(station: StationHere, body: CalibrationBody) -> JobModel:
     """Calibrate. Where a person has to put something before the instrument, the job waits until that is confirmed."""
     return JobModel.of(calibration_job(station, body.kind, body.output, body.options()))
+
+
+@router.post("/benchmarks", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409))
+async def start_benchmark(station: StationHere, body: BenchmarkBody) -> JobModel:
+    """Measure line periods and efficiency: short scans that store nothing, in every mode, format and exposure asked for."""
+    return JobModel.of(
+        benchmark_job(
+            station, exposures_s=body.exposures_s, modes=body.modes, formats=body.pixel_formats, lines=body.lines
+        )
+    )
 
 
 @router.post("/auto-exposure", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409))
