@@ -9,14 +9,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from scanhsi.cli.chain import (
+    Chain,
+    DarkOption,
+    KeystoneOption,
+    SaturationOption,
+    SmileOption,
+    TileOption,
+    WavelengthOption,
+    WhiteDarkOption,
+    WhiteOption,
+)
 from scanhsi.cli.output import messages, results, write_json
 from scanhsi.cli.progress import bytes_shown
 
 if TYPE_CHECKING:
-    from scanhsi.calibration.reference import ModelledDark, Reference
+    from scanhsi.cube.shards import Codec
     from scanhsi.processing import Step
 
-_USUAL_TILE = 0.99
 _LIKE = "-reflectance"
 
 
@@ -36,22 +46,14 @@ def process(
             "--output", "-o", help="Cube to create; for many cubes the folder to create them in. [default: beside each]"
         ),
     ] = None,
-    dark: Annotated[
-        Path | None, typer.Option(help="Dark reference: a cube at the exposure of the raw one, or a dark model (*.nc).")
-    ] = None,
-    white: Annotated[
-        Path | None, typer.Option(help="White reference: a cube of the tile, or of `scanhsi calibrate white`.")
-    ] = None,
-    white_dark: Annotated[
-        Path | None, typer.Option(help="Dark reference at the exposure of the white one. [default: --dark]")
-    ] = None,
-    tile: Annotated[
-        float | None,
-        typer.Option(help="Reflectance of the white tile. [default: as the white reference says, or 0.99]"),
-    ] = None,
-    saturation: Annotated[
-        float | None, typer.Option(help="Counts from which a pixel is saturated. [default: full scale]")
-    ] = None,
+    dark: DarkOption = None,
+    white: WhiteOption = None,
+    white_dark: WhiteDarkOption = None,
+    tile: TileOption = None,
+    saturation: SaturationOption = None,
+    wavelength: WavelengthOption = None,
+    smile: SmileOption = None,
+    keystone: KeystoneOption = None,
     bin_bands: Annotated[int | None, typer.Option(help="Average so many bands into one channel.")] = None,
     codec: Annotated[Literal["lz4", "zstd", "none", "raw"], typer.Option(help="Of the new cubes.")] = "lz4",
     scheduler: Annotated[
@@ -59,18 +61,25 @@ def process(
     ] = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads here, without a cluster.")] = 2,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what an interrupted run left.")] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Process a cube while it is being written, until it is closed.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Make reflectance of raw cubes: dark, white, binning; saturated pixels become nan.
+    """Make reflectance of raw cubes: dark, white, smile, keystone, binning; saturated pixels become nan.
 
-    Cubes may be larger than memory: they go through shard by shard, on threads or on a cluster.
+    Cubes may be larger than memory: they go through shard by shard, on threads or on a cluster. While a cube is being scanned:
+    `scanhsi scan --reflectance`, or --follow.
 
-    [bold]Example[/]: scanhsi process hand.zarr --dark dark.zarr --white white.zarr --bin-bands 5
+    [bold]Example[/]: scanhsi process hand.zarr --dark dark.zarr --white white.zarr --smile smile.nc --bin-bands 5
     """
     from scanhsi.processing import process as run
 
     pairs = _pairs(cubes, output)
-    steps = _steps(dark, white, white_dark or dark, tile, saturation, bin_bands)
+    steps = Chain(dark, white, white_dark, tile, saturation, wavelength, smile, keystone, bin_bands).steps()
+    if follow:
+        _follow(pairs, steps, codec, scheduler, resume=resume, as_json=json)
+        return
     made: list[dict[str, Any]] = []
     with _cluster(scheduler) as client:
         for cube, target in pairs:
@@ -84,6 +93,32 @@ def process(
     else:
         for one in made:
             results().print(f"{one['cube']} -> {one['output']}", soft_wrap=True)
+
+
+def _follow(
+    pairs: list[tuple[str, Path]],
+    steps: list[Step],
+    codec: Codec,
+    scheduler: str | None,
+    *,
+    resume: bool,
+    as_json: bool,
+) -> None:
+    from dataclasses import asdict
+
+    from scanhsi.processing import follow
+
+    if len(pairs) != 1 or scheduler is not None:
+        raise typer.BadParameter("one cube can be followed, here.", param_hint="--follow")
+    cube, target = pairs[0]
+    messages().print(f"following {cube} until it is closed", soft_wrap=True)
+    done = follow(cube, target, steps, codec=codec, resume=resume)
+    if as_json:
+        write_json({"cube": cube, "output": str(target), **asdict(done)})
+    else:
+        results().print(
+            f"{cube} -> {target}: {done.lines} lines, {done.behind} of them after it was closed", soft_wrap=True
+        )
 
 
 def _pairs(cubes: list[str], output: Path | None) -> list[tuple[str, Path]]:
@@ -105,56 +140,6 @@ def _pairs(cubes: list[str], output: Path | None) -> list[tuple[str, Path]]:
 def _named(cube: str) -> str:
     path = Path(cube.rstrip("/"))
     return f"{path.stem}{_LIKE}{path.suffix or '.zarr'}"
-
-
-def _steps(
-    dark: Path | None,
-    white: Path | None,
-    white_dark: Path | None,
-    tile: float | None,
-    saturation: float | None,
-    bin_bands: int | None,
-) -> list[Step]:
-    from scanhsi.processing import BinBands, MaskSaturated, SubtractDark
-
-    if white is not None and dark is None:
-        raise typer.BadParameter("reflectance needs a dark reference too.", param_hint="--dark")
-    steps: list[Step] = [MaskSaturated(saturation)]
-    if dark is not None:
-        reference = _dark(dark)
-        steps.append(SubtractDark(reference))
-        if white is not None:
-            below = reference if white_dark is None or white_dark == dark else _dark(white_dark)
-            steps.append(_reflectance(white, below, tile))
-    if bin_bands is not None:
-        steps.append(BinBands(bin_bands))
-    if len(steps) == 1:
-        raise typer.BadParameter("nothing to do: give --dark, --dark with --white, or --bin-bands.")
-    return steps
-
-
-def _dark(path: Path) -> Reference | ModelledDark:
-    """A dark cube's mean, or a dark model."""
-    from scanhsi.calibration.dark import DarkModel
-    from scanhsi.calibration.kinds import is_result
-    from scanhsi.calibration.reference import ModelledDark, average
-    from scanhsi.calibration.result import load
-
-    return ModelledDark(str(path), load(DarkModel, path)) if is_result(path) else average(path)
-
-
-def _reflectance(path: Path, dark: Reference | ModelledDark, tile: float | None) -> Step:
-    """By the mean of a tile's cube; or by a white reference, which brings its own dark signal and tile."""
-    from scanhsi.calibration.kinds import is_result
-    from scanhsi.calibration.reference import average
-    from scanhsi.calibration.result import load
-    from scanhsi.calibration.white import WhiteReference
-    from scanhsi.processing import Reflectance
-
-    if not is_result(path):
-        return Reflectance(average(path), dark, _USUAL_TILE if tile is None else tile)
-    result = load(WhiteReference, path)
-    return Reflectance(*result.references(str(path)), result.tile if tile is None else tile)
 
 
 def _cluster(scheduler: str | None) -> Any:

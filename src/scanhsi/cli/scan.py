@@ -10,6 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from scanhsi.cli.chain import (
+    Chain,
+    DarkOption,
+    KeystoneOption,
+    SaturationOption,
+    SmileOption,
+    TileOption,
+    WavelengthOption,
+    WhiteDarkOption,
+    WhiteOption,
+)
 from scanhsi.cli.codes import ExitCode
 from scanhsi.cli.drain import drain_shown
 from scanhsi.cli.output import messages, results, write_json
@@ -27,7 +38,9 @@ from scanhsi.cli.storage_options import (
 if TYPE_CHECKING:
     from scanhsi.clock import RealTime
     from scanhsi.engine import ScanPlan, ScanReport
+    from scanhsi.engine.report import Processed
     from scanhsi.instrument import InstrumentConfig
+    from scanhsi.processing import LiveProcessing
 
 
 def register(app: typer.Typer) -> None:
@@ -91,6 +104,24 @@ def scan(
     durability: DurabilityOption = None,
     bin_bands: BinBandsOption = None,
     bin_samples: BinSamplesOption = None,
+    reflectance: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT",
+            help="Cube to be made of the raw one while it is scanned, of what the next options say; see `scanhsi process`.",
+        ),
+    ] = None,
+    dark: DarkOption = None,
+    white: WhiteOption = None,
+    white_dark: WhiteDarkOption = None,
+    tile: TileOption = None,
+    saturation: SaturationOption = None,
+    wavelength: WavelengthOption = None,
+    smile: SmileOption = None,
+    keystone: KeystoneOption = None,
+    average_bands: Annotated[
+        int | None, typer.Option(metavar="N", help="With --reflectance: average so many bands into one channel.")
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -107,6 +138,8 @@ def scan(
 
     [bold]Example[/]: scanhsi scan sensors2019 -o hand.zarr --lines 300 --exposure "20 ms"
 
+    [bold]Example[/]: scanhsi scan -o hand.zarr --reflectance hand-reflectance.zarr --dark dark.nc --white white.nc
+
     [bold]Example[/]: scanhsi scan --virtual --discard --lines 1200 --exposure "100 ms" --mode continuous --json
     """
     from scanhsi import clock
@@ -117,6 +150,8 @@ def scan(
         raise typer.BadParameter("say where the cube goes with -o OUT, or --discard it; one of the two.")
     if spool is not None and discard:
         raise typer.BadParameter("nothing is stored with --discard.", param_hint="--spool")
+    chain = Chain(dark, white, white_dark, tile, saturation, wavelength, smile, keystone, average_bands)
+    process = _live(reflectance, chain)
     options = parsed_real_time(real_time, virtual=virtual)
     storage = storage_settings(codec, raw, durability, bin_bands, bin_samples)
     config = load_instrument(instrument, {**parsed_settings(settings or ()), **storage})
@@ -138,7 +173,8 @@ def scan(
         "look_ahead": look_ahead,
     }
     overrides = {name: value for name, value in given.items() if value is not None}
-    report = clock.run(_scan(config, default_plan(config, **overrides), output, options, spool), virtual=virtual)
+    plan = default_plan(config, **overrides)
+    report = clock.run(_scan(config, plan, output, options, spool, process), virtual=virtual)
     try:
         _finish(report, as_json=json)
     finally:
@@ -146,8 +182,24 @@ def scan(
             drain_shown(spool)
 
 
+def _live(output: Path | None, chain: Chain) -> LiveProcessing | None:
+    """What is to be made beside the scan."""
+    if output is None:
+        if chain != Chain():
+            raise typer.BadParameter("say where the processed cube goes, too: --reflectance OUT.")
+        return None
+    from scanhsi.processing import LiveProcessing
+
+    return LiveProcessing(chain.steps(), output)
+
+
 async def _scan(
-    config: InstrumentConfig, plan: ScanPlan, output: str | None, options: RealTime, spool: Path | None
+    config: InstrumentConfig,
+    plan: ScanPlan,
+    output: str | None,
+    options: RealTime,
+    spool: Path | None,
+    process: LiveProcessing | None,
 ) -> ScanReport:
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
@@ -166,7 +218,13 @@ async def _scan(
                 interrupt.scanning = True
                 try:
                     return await imager.scan(
-                        plan, output, on_progress=show, stop=interrupt.stop, real_time=options, spool=spool
+                        plan,
+                        output,
+                        on_progress=show,
+                        stop=interrupt.stop,
+                        real_time=options,
+                        spool=spool,
+                        process=process,
                     )
                 except asyncio.CancelledError:
                     if output is not None:
@@ -189,11 +247,28 @@ def _finish(report: ScanReport, *, as_json: bool) -> None:
         from scanhsi.cli.summary import scan_summary
 
         results().print(scan_summary(report))
+        _tell_processed(report.processed)
     _warn_of_smear(report)
     if report.stopped_early:
         raise typer.Exit(ExitCode.INTERRUPTED)
     if report.missing:
         raise typer.Exit(ExitCode.SCAN_FAILED)
+    if report.processed is not None and report.processed.error is not None:
+        raise typer.Exit(ExitCode.CUBE)
+
+
+def _tell_processed(processed: Processed | None) -> None:
+    if processed is None:
+        return
+    if processed.error is not None:
+        messages().print(
+            f"processing failed, the raw cube is whole: {processed.error}", style="bold red", soft_wrap=True
+        )
+        return
+    behind = (
+        f", the last {processed.behind} in {processed.caught_up_s:.1f} s after the scan" if processed.behind else ""
+    )
+    results().print(f"processed  {processed.output}: {processed.lines} lines{behind}", soft_wrap=True)
 
 
 def _warn_of_smear(report: ScanReport) -> None:
