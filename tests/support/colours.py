@@ -20,6 +20,11 @@ def checkers() -> list[Any]:
     return list(colour.SDS_COLOURCHECKERS["ColorChecker N Ohta"].values())
 
 
+def spectrum(name: str, wavelength_nm: NDArray[np.float64], values: NDArray[np.float64]) -> Any:
+    """A spectral distribution."""
+    return colour.SpectralDistribution(dict(zip(wavelength_nm.tolist(), values.tolist(), strict=True)), name=name)
+
+
 def expected_xyz(spectrum: Any, light: str = "D65") -> NDArray[np.float64]:
     """XYZ of a reflectance under a light, white at Y = 1, by summation over 1 nm."""
     cmfs = colour.MSDS_CMFS[_OBSERVER].copy().trim(colour.SpectralShape(380, 780, 1))

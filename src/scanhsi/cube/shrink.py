@@ -18,6 +18,7 @@ Floats = NDArray[np.float32]
 
 _BLOCK_BYTES: Final = 64_000_000
 _CACHE_BYTES: Final = 4_000_000
+_BRIDGED: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +57,8 @@ class Means:
 class Weighted:
     """Weighted sums over bands.
 
+    A band that is nan, a hot pixel's say, is taken to be as its neighbour, while such bands weigh less than a twentieth of all.
+
     Attributes:
         bands: What is read.
         weights: (plane, band) float32.
@@ -76,8 +79,25 @@ class Weighted:
         out = np.empty((self.planes, lines, samples), np.float32)
         for first in range(0, lines, at_once):
             some = values[:, first : first + at_once].reshape(bands, -1).astype(np.float32)
+            if values.dtype.kind == "f":
+                self._bridge(some)
             out[:, first : first + at_once] = (self.weights @ some).reshape(self.planes, -1, samples)
         return out
+
+    def _bridge(self, spectra: Floats) -> None:
+        """Fill gaps of spectra, (band, pixel), in place."""
+        gaps = ~np.isfinite(spectra)
+        pixels = np.flatnonzero(gaps.any(axis=0))
+        if not pixels.size:
+            return
+        weight = np.abs(self.weights).sum(axis=0)
+        pixels = pixels[weight @ gaps[:, pixels] < _BRIDGED * weight.sum()]
+        known = ~gaps[:, pixels]
+        bands = np.arange(len(spectra))[:, None]
+        below = np.maximum.accumulate(np.where(known, bands, -1), axis=0)
+        above = np.minimum.accumulate(np.where(known, bands, len(spectra))[::-1], axis=0)[::-1]
+        nearest = np.where((below >= 0) & ((bands - below <= above - bands) | (above == len(spectra))), below, above)
+        spectra[:, pixels] = np.take_along_axis(spectra[:, pixels], nearest, axis=0)
 
 
 Reduce = Means | Weighted
