@@ -27,7 +27,8 @@ from scanhsi.cube.slow import SlowSink
 from scanhsi.cube.watched import Watch, WatchedSink
 from scanhsi.devices import Actuator, Camera, CameraSettings, PixelFormat
 from scanhsi.devices.errors import ConfigError, DeviceBusy
-from scanhsi.engine import Course, Mode, Progress, ScanPlan, ScanReport, run_scan
+from scanhsi.engine import Course, Mode, Progress, ScanControl, ScanPlan, ScanReport, run_scan
+from scanhsi.engine.resume import Begun, begun
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
 from scanhsi.instrument.timing import storing_of
@@ -142,7 +143,7 @@ class Imager:
         )
         settings = self.instrument.check(asked, (int(steps[0]), int(steps[-1])))
         angles = np.array([geometry.angle_rad(int(step)) for step in steps])
-        return Course(plan.mode, settings, steps, angles, plan.period_s, plan.look_ahead)
+        return Course(plan.mode, settings, steps, angles, plan.period_s, plan.look_ahead, plan.recovery)
 
     async def scan(
         self,
@@ -151,6 +152,7 @@ class Imager:
         *,
         on_progress: Callable[[Progress], None] | None = None,
         stop: asyncio.Event | None = None,
+        control: ScanControl | None = None,
         real_time: RealTime = _NO_OPTIONS,
         target: str | None = None,
         spool: str | Path | None = None,
@@ -165,6 +167,7 @@ class Imager:
                 discards the lines.
             on_progress: Called at most four times a second, in the event loop.
             stop: Set it to finish the line under way and close the cube.
+            control: Instead of ``stop``: pauses the scan, too, and lets it go on.
             real_time: Options against lateness, for the time of the scan. What was granted is in the report and in the cube.
             target: What is before the instrument; kept in the cube.
             spool: For URLs: local folder that what is written waits in until the server has it. A line is stored once it is there,
@@ -196,9 +199,74 @@ class Imager:
                         limits=limits,
                         on_progress=on_progress,
                         stop=stop,
+                        control=control,
                     )
                     processed = None if processing is None else await processing.finish()
                 return replace(report, real_time=granted, processed=processed)
+
+    async def resume(
+        self,
+        cube: str | Path,
+        plan: ScanPlan | None = None,
+        *,
+        on_progress: Callable[[Progress], None] | None = None,
+        control: ScanControl | None = None,
+        real_time: RealTime = _NO_OPTIONS,
+        spool: str | Path | None = None,
+        watch: Watch | None = None,
+    ) -> ScanReport:
+        """Finish a cube that was interrupted: killed, failed, or stopped early. Only lines that are not stored are taken.
+
+        Args:
+            cube: Path or URL.
+            plan: Its plan, by default as the cube tells it; what to do about faults may be another.
+            on_progress: As for `scan`.
+            control: As for `scan`.
+            real_time: As for `scan`.
+            spool: As for `scan`.
+            watch: As for `scan`.
+
+        Raises:
+            NotACube, CubeError: There is nothing to be resumed.
+            ConfigError: Plan, instrument file or devices are not those that the cube was begun with; lists every difference.
+            OutOfRange, UnsupportedFeature: Refused; nothing moved.
+            DeviceBusy: A scan of this instrument is under way.
+            ScanFailed: As `scan`; the cube can be resumed again.
+        """
+        with self._one_scan():
+            place = destination_of(cube, spool=spool)
+            before = begun(place)
+            plan = plan or before.plan
+            self._check_the_same(before, plan)
+            course = self.course(plan)
+            with clock.real_time(real_time) as granted:
+                spec = self._spec(course, plan, granted, None)
+                attributes = {**spec.attributes, **_of_the_scan(before)}
+                durability = self.config.storage.durability
+                writer = CubeWriter.resume(place, replace(spec, attributes=attributes), durability=durability)
+                sink = self._slowed(writer, plan)
+                report = await run_scan(
+                    course,
+                    self.camera,
+                    self.actuator,
+                    sink if watch is None else _watched(sink, watch, course),
+                    limits=self.instrument.actuator_info.limits,
+                    on_progress=on_progress,
+                    control=control,
+                    first=writer.next_line,
+                )
+                return replace(report, real_time=granted)
+
+    def _check_the_same(self, before: Begun, plan: ScanPlan) -> None:
+        problems = before.differences(self.config, plan, self.instrument.describe())
+        if not self.instrument.actuator_info.finds_home:
+            problems.append(
+                "the mirror's drive cannot find its home by itself: nobody knows that its steps still mean the same"
+            )
+        if problems:
+            raise ConfigError(
+                f"{before.name} cannot be gone on with:", problems, hint="the instrument as it was, or a new cube."
+            )
 
     async def live(
         self,
@@ -288,6 +356,13 @@ class Imager:
                 codec=storage.codec,
                 durability=storage.durability,
             )
+
+
+def _of_the_scan(before: Begun) -> dict[str, Any]:
+    """What a cube says of itself whichever session writes it."""
+    return {
+        key: before.attributes[key] for key in ("plan", "instrument", "simulated", "target") if key in before.attributes
+    }
 
 
 @contextmanager

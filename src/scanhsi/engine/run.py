@@ -88,6 +88,33 @@ async def run_scan(
         control = ScanControl() if stop is None else ScanControl(stop)
     elif stop is not None:
         raise ValueError("give either stop or control")
+    try:
+        scan, take_leg = await _prepare(course, camera, actuator, sink, limits, on_progress, control, first)
+        await _open_sink(scan)
+    except BaseException:
+        await clean_up([_close_sink(sink)])  # one that goes on with a cube holds its lock already
+        raise
+    failures = await _to_the_end(scan, take_leg)
+    if failures:
+        _log.error(
+            "scan failed", operation="scan", causes=[str(cause) for cause in failures], stored=scan.records.stored
+        )
+        stored = scan.records.stored
+        raise ScanFailed(failures, stored=stored, lines=course.lines, output=sink.output) from failures[0]
+    return report(scan, now_ns())
+
+
+async def _prepare(
+    course: Course,
+    camera: Camera,
+    actuator: Actuator,
+    sink: LineSink,
+    limits: Range | None,
+    on_progress: Callable[[Progress], None] | None,
+    control: ScanControl,
+    first: int,
+) -> tuple[Scan, TakeLeg]:
+    """Refuse what can be refused, configure the camera; return the scan and what takes a leg of it."""
     course = check(course, camera, actuator, limits)
     scan = Scan(
         course=course,
@@ -109,24 +136,11 @@ async def run_scan(
     )
     if course.look_ahead is not None:
         scan.latencies = Latencies(course.look_ahead)
-    take_leg = await _configure(scan)
-    await _open_sink(scan)
-    failures = await _to_the_end(scan, take_leg)
-    if failures:
-        _log.error(
-            "scan failed", operation="scan", causes=[str(cause) for cause in failures], stored=scan.records.stored
-        )
-        stored = scan.records.stored
-        raise ScanFailed(failures, stored=stored, lines=course.lines, output=sink.output) from failures[0]
-    return report(scan, now_ns())
+    return scan, await _configure(scan)
 
 
 async def _open_sink(scan: Scan) -> None:
-    try:
-        await scan.sink.open(scan.records)
-    except BaseException:
-        await clean_up([_close_sink(scan)])
-        raise
+    await scan.sink.open(scan.records)
     scan.records.mirror_angle_rad[scan.first :] = scan.course.angles_rad[scan.first :]
     scan.earlier_incidents = len(scan.records.incidents)
 
@@ -135,7 +149,7 @@ async def _to_the_end(scan: Scan, take_leg: TakeLeg) -> list[BaseException]:
     """Acquire and clean up; return what went wrong, first cause first."""
     failures, cancelled = await finish(acquire(scan, take_leg))
     scan.going_on("the scan ended")
-    failures += await clean_up([*leave_safe(scan), _close_sink(scan)])
+    failures += await clean_up([*leave_safe(scan), _close_sink(scan.sink)])
     if cancelled:
         tell_nevertheless(failures)
         raise asyncio.CancelledError
@@ -227,5 +241,5 @@ def _sweep_trigger(camera: Camera) -> Trigger:
     return Trigger.LINE if hardware else Trigger.FREE_RUN
 
 
-def _close_sink(scan: Scan) -> CleanupStep:
-    return CleanupStep("close the cube", scan.sink.close, STORE_S, after=True, device="storage")
+def _close_sink(sink: LineSink) -> CleanupStep:
+    return CleanupStep("close the cube", sink.close, STORE_S, after=True, device="storage")
