@@ -104,6 +104,7 @@ class Bench:
             line that it leads to, whatever the scan mode.
         pixel_format: Of the camera as it was armed last: a recorded move is replayed with the frame that it was recorded with.
         trigger: The camera's trigger input, while it listens: takes the time of a pulse in ns.
+        lit: When the light was switched, in ns, and whether on; empty while there is none that could be.
     """
 
     def __init__(self, name: str) -> None:
@@ -112,6 +113,7 @@ class Bench:
         self.exposures = 0
         self.pixel_format: str | None = None
         self.trigger: Callable[[int], None] | None = None
+        self.lit: list[tuple[int, bool]] = []
         self._owners: weakref.WeakValueDictionary[str, object] = weakref.WeakValueDictionary()
 
     def claim(self, role: str, device: object, name: str) -> None:
@@ -133,6 +135,13 @@ class Bench:
         """Undo `claim`; nothing happens to a claim of another device."""
         if self._owners.get(role) is device:
             del self._owners[role]
+
+    def lit_since(self, when_ns: int) -> float:
+        """When the light that shone at a time was switched on, in ns; -inf for one that cannot be switched, inf in the dark."""
+        if not self.lit:
+            return -math.inf
+        at_ns, on = next((entry for entry in reversed(self.lit) if entry[0] <= when_ns), (0, False))
+        return at_ns if on else math.inf
 
     def pulse(self, when_ns: int) -> None:
         """A pulse on the trigger cable. Nobody hears it unless the camera listens."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -275,8 +276,18 @@ class SimulatedCamera:
         frame.scene, frame.acquisition = self._options.scene, self._armed
         if frame.scene == COLD_LAMP:
             frame.time_s -= self._shown_s
+        self._light(frame)
         if self._ahead:
             frame.pixels = asyncio.get_running_loop().run_in_executor(None, self._job(frame))
+
+    def _light(self, frame: SimulatedFrame) -> None:
+        """Under a light that can be switched: nothing is seen unless it shines, and its age counts from when it was switched on."""
+        assert frame.exposure_start_ns is not None
+        since_ns = self._bench.lit_since(frame.exposure_start_ns)
+        if since_ns == math.inf:
+            frame.scene = "dark"
+        elif since_ns > -math.inf:
+            frame.time_s -= (since_ns - self._epoch_ns) * 1e-9
 
     def _job(self, frame: SimulatedFrame) -> Callable[[], Image]:
         """What renders a frame. It does not hold the frame, whose buffer returns when its receiver lets it go."""

@@ -16,6 +16,7 @@ from scanhsi.devices.capabilities import (
     require,
 )
 from scanhsi.devices.frames import Frame, FrameChannel, FrameEvent, FrameGap, FrameStream, Pixels
+from scanhsi.devices.light import Light, LightInfo, Lit
 from scanhsi.devices.pixels import PixelFormat, unpack
 from scanhsi.devices.registry import Backend, Found, Role, find, installed
 from scanhsi.devices.values import Range
@@ -37,6 +38,9 @@ __all__ = [
     "FrameStream",
     "FreeRunning",
     "HardwareTriggered",
+    "Light",
+    "LightInfo",
+    "Lit",
     "Motion",
     "OverlapsReadout",
     "PixelFormat",

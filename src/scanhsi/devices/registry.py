@@ -1,7 +1,7 @@
 """Backends: how a driver makes itself known, and how they are found.
 
-A driver package declares an entry point in the group ``scanhsi.cameras`` or ``scanhsi.actuators`` whose name is the word that an
-instrument file uses (``driver = "aravis"``) and whose value is a `Backend`::
+A driver package declares an entry point in the group ``scanhsi.cameras``, ``scanhsi.actuators`` or ``scanhsi.lights`` whose name is
+the word that an instrument file uses (``driver = "aravis"``) and whose value is a `Backend`::
 
     [project.entry-points."scanhsi.cameras"]
     mycam = "my_package:backend"
@@ -23,8 +23,9 @@ from scanhsi.devices.actuator import Actuator
 from scanhsi.devices.camera import Camera
 from scanhsi.devices.capabilities import capabilities_of
 from scanhsi.devices.errors import ConfigError, DeviceUnavailable
+from scanhsi.devices.light import Light
 
-D = TypeVar("D", Camera, Actuator)
+D = TypeVar("D", Camera, Actuator, Light)
 
 
 @unique
@@ -33,10 +34,11 @@ class Role(StrEnum):
 
     CAMERA = "scanhsi.cameras"
     ACTUATOR = "scanhsi.actuators"
+    LIGHT = "scanhsi.lights"
 
     @property
     def word(self) -> str:
-        """``"camera"`` or ``"actuator"``: the table of an instrument file."""
+        """``"camera"``, ``"actuator"`` or ``"light"``: the table of an instrument file."""
         return self.name.lower()
 
 
@@ -81,7 +83,7 @@ class Found:
 
     Attributes:
         name: Name of the driver in instrument files.
-        role: Camera or actuator.
+        role: Camera, actuator or light.
         package: Distribution that installed it.
         backend: The backend, or None.
         problem: Why it cannot be used on this computer, or None.

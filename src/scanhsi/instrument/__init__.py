@@ -9,7 +9,7 @@ from scanhsi.instrument.config import (
     Spectral,
     Storage,
 )
-from scanhsi.instrument.device_config import ActuatorConfig, CameraConfig, DeviceConfig
+from scanhsi.instrument.device_config import ActuatorConfig, CameraConfig, DeviceConfig, LightConfig
 from scanhsi.instrument.instrument import Instrument
 from scanhsi.instrument.load import load_instrument, shipped, template
 
@@ -20,6 +20,7 @@ __all__ = [
     "Geometry",
     "Instrument",
     "InstrumentConfig",
+    "LightConfig",
     "Limits",
     "RoiConfig",
     "ScanDefaults",

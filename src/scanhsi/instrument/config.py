@@ -5,6 +5,7 @@
     description = "..."
     [camera]        driver = "..." and the options of that driver
     [actuator]      driver = "..." and the options of that driver
+    [light]         driver = "..." and the options of that driver; left out where nothing can be switched
     [geometry]      mirror and object
     [spectral]      wavelength of each band
     [roi]           part of the sensor that is read out (default: all of it)
@@ -26,7 +27,7 @@ from pydantic import Field, model_validator
 
 from scanhsi.devices import PixelFormat, Roi
 from scanhsi.devices.errors import ConfigError
-from scanhsi.instrument.device_config import ActuatorConfig, CameraConfig
+from scanhsi.instrument.device_config import ActuatorConfig, CameraConfig, LightConfig
 from scanhsi.instrument.quantities import Decibels, Metres, Seconds, Steps, Written
 
 
@@ -167,6 +168,7 @@ class InstrumentConfig(Written):
     description: Annotated[str, Field(description="what it is, for people")] = ""
     camera: CameraConfig
     actuator: ActuatorConfig
+    light: LightConfig | None = None
     geometry: Geometry
     spectral: Spectral | None = None
     roi: RoiConfig | None = None
@@ -177,7 +179,8 @@ class InstrumentConfig(Written):
     @property
     def virtual_time(self) -> bool:
         """Whether every device runs in virtual time, too."""
-        return self.camera.backend.virtual_time and self.actuator.backend.virtual_time
+        devices = (self.camera, self.actuator, *([self.light] if self.light else []))
+        return all(device.backend.virtual_time for device in devices)
 
     def with_delays(self, profile: str) -> InstrumentConfig:
         """A copy whose simulated devices spend the delays of another profile; a recorded one is replayed.

@@ -1,4 +1,4 @@
-"""The ``[camera]`` and ``[actuator]`` tables: the name of a driver, and the options of that driver beside it."""
+"""The ``[camera]``, ``[actuator]`` and ``[light]`` tables: the name of a driver, and the options of that driver beside it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from scanhsi.devices import Actuator, Backend, Camera, Role, find
+from scanhsi.devices import Actuator, Backend, Camera, Light, Role, find
 from scanhsi.devices.errors import ConfigError, DeviceUnavailable
 from scanhsi.instrument.problems import nested_problems, problems_of
 
@@ -124,6 +124,20 @@ class ActuatorConfig(DeviceConfig):
 
     def create(self) -> Actuator:
         """Make the actuator; opens nothing.
+
+        Raises:
+            DeviceUnavailable: The driver lacks something on this computer.
+        """
+        return self.ready_backend().create(self.options)
+
+
+class LightConfig(DeviceConfig):
+    """The ``[light]`` table."""
+
+    role = Role.LIGHT
+
+    def create(self) -> Light:
+        """Make the light; opens nothing.
 
         Raises:
             DeviceUnavailable: The driver lacks something on this computer.

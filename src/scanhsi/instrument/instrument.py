@@ -1,15 +1,25 @@
-"""An open instrument: both devices connected, checked against the instrument file, and closed again whatever happens."""
+"""An open instrument: all devices connected, checked against the instrument file, and closed again whatever happens."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Final
 
-from scanhsi.devices import Actuator, ActuatorInfo, Camera, CameraInfo, CameraSettings, Range, check_settings
+from scanhsi.devices import (
+    Actuator,
+    ActuatorInfo,
+    Camera,
+    CameraInfo,
+    CameraSettings,
+    Light,
+    LightInfo,
+    Range,
+    check_settings,
+)
 from scanhsi.devices.errors import ConfigError, DeviceError, DeviceTimeout
 from scanhsi.instrument.config import InstrumentConfig
 from scanhsi.log import get_logger
@@ -27,6 +37,7 @@ class Instrument:
         config: Its file.
         camera, actuator: The devices, as their drivers made them.
         camera_info, actuator_info: What they are and allow, narrowed by the file's ``[limits]``: check plans against these.
+        light, light_info: What illuminates the object, where the file has a ``[light]``; None where nothing can be switched.
     """
 
     config: InstrumentConfig
@@ -34,16 +45,19 @@ class Instrument:
     actuator: Actuator
     camera_info: CameraInfo
     actuator_info: ActuatorInfo
+    light: Light | None = None
+    light_info: LightInfo | None = None
 
     @property
     def simulated(self) -> bool:
         """Whether any device is not a real one."""
-        return self.camera_info.simulated or self.actuator_info.simulated
+        infos = (self.camera_info, self.actuator_info, self.light_info)
+        return any(info.simulated for info in infos if info is not None)
 
     @staticmethod
     @asynccontextmanager
     async def open(config: InstrumentConfig) -> AsyncGenerator[Instrument]:
-        """Connect both devices at once; close them on leaving, the actuator first, each whatever became of the other.
+        """Connect all devices at once; close them on leaving, light and actuator first, each whatever became of the others.
 
         Raises:
             DeviceError: A device cannot be made or connected (all failures in one message), or did not close although all
@@ -51,13 +65,21 @@ class Instrument:
             ConfigError: What the devices turned out to be contradicts the file.
         """
         camera, actuator = config.camera.create(), config.actuator.create()
+        light = config.light.create() if config.light else None
+        devices: dict[str, Camera | Actuator | Light] = {
+            f"camera {config.camera.driver}": camera,
+            f"actuator {config.actuator.driver}": actuator,
+        }
+        if config.light is not None and light is not None:
+            devices[f"light {config.light.driver}"] = light
         failures: list[Exception] = []
         try:
             async with AsyncExitStack() as stack:
-                stack.push_async_callback(_close, camera, f"camera {config.camera.driver}", failures)
-                stack.push_async_callback(_close, actuator, f"actuator {config.actuator.driver}", failures)
-                await _connect_both(camera, actuator, config)
-                yield _checked(config, camera, actuator)
+                for name, device in devices.items():
+                    stack.push_async_callback(_close, device, name, failures)
+                await _connect_all(devices)
+                checked = _checked(config, camera, actuator)
+                yield replace(checked, light=light, light_info=light.info if light else None)
         except BaseException as error:
             for failure in failures:
                 error.add_note(f"while closing: {failure}")
@@ -81,25 +103,30 @@ class Instrument:
 
     def describe(self) -> dict[str, Any]:
         """What the instrument is, as plain JSON types: for ``--json``, logs and the cube."""
-        return {
+        described = {
             "name": self.config.name,
             "description": self.config.description,
             "simulated": self.simulated,
             "camera": {"driver": self.config.camera.driver, **_plain(self.camera_info)},
             "actuator": {"driver": self.config.actuator.driver, **_plain(self.actuator_info)},
         }
+        if self.config.light is not None:
+            described["light"] = {"driver": self.config.light.driver, **_plain(self.light_info)}
+        return described
 
 
-async def _connect_both(camera: Camera, actuator: Actuator, config: InstrumentConfig) -> None:
+async def _connect_all(devices: Mapping[str, Camera | Actuator | Light]) -> None:
     failures: list[Exception] = []
-    async with asyncio.TaskGroup() as group:  # a failure is collected, not raised: the other device gets its own answer
-        group.create_task(_connect(camera, f"camera {config.camera.driver}", failures))
-        group.create_task(_connect(actuator, f"actuator {config.actuator.driver}", failures))
+    async with (
+        asyncio.TaskGroup() as group
+    ):  # a failure is collected, not raised: the other devices get their own answers
+        for name, device in devices.items():
+            group.create_task(_connect(device, name, failures))
     if failures:
         raise _together("did not connect", failures)
 
 
-async def _connect(device: Camera | Actuator, name: str, failures: list[Exception]) -> None:
+async def _connect(device: Camera | Actuator | Light, name: str, failures: list[Exception]) -> None:
     deadline = asyncio.timeout(_CONNECT_S)
     try:
         async with deadline:
@@ -110,7 +137,7 @@ async def _connect(device: Camera | Actuator, name: str, failures: list[Exceptio
         failures.append(_timeout(name, "connect", _CONNECT_S) if timed_out else error)
 
 
-async def _close(device: Camera | Actuator, name: str, failures: list[Exception]) -> None:
+async def _close(device: Camera | Actuator | Light, name: str, failures: list[Exception]) -> None:
     """Close within the deadline, in a task that no cancellation reaches: a second Ctrl-C must not leave a device half open."""
     task = asyncio.ensure_future(_close_in_time(device, name, failures))
     cancelled: asyncio.CancelledError | None = None
@@ -124,12 +151,12 @@ async def _close(device: Camera | Actuator, name: str, failures: list[Exception]
         raise cancelled
 
 
-async def _close_in_time(device: Camera | Actuator, name: str, failures: list[Exception]) -> None:
+async def _close_in_time(device: Camera | Actuator | Light, name: str, failures: list[Exception]) -> None:
     deadline = asyncio.timeout(_CLOSE_S)
     try:
         async with deadline:
             await device.close()
-    except Exception as error:  # collected: the other device is closed all the same
+    except Exception as error:  # collected: the other devices are closed all the same
         timed_out = isinstance(error, TimeoutError) and deadline.expired()
         failures.append(_timeout(name, "close", _CLOSE_S) if timed_out else error)
         _log.warning("did not close", device=name, operation="close", error=str(failures[-1]))

@@ -16,7 +16,7 @@ def schema() -> Schema:
     """JSON schema (2020-12) of an instrument file as TOML holds it; each device table is one of the installed drivers."""
     whole: Schema = InstrumentConfig.model_json_schema(by_alias=True)
     definitions = cast("Schema", whole.setdefault("$defs", {}))
-    for role, table in ((Role.CAMERA, "CameraConfig"), (Role.ACTUATOR, "ActuatorConfig")):
+    for role, table in ((Role.CAMERA, "CameraConfig"), (Role.ACTUATOR, "ActuatorConfig"), (Role.LIGHT, "LightConfig")):
         definitions[table] = _device(role, definitions)
     whole["required"] = [key for key in whole["required"] if key != "name"]  # a file without one is named after itself
     whole["title"] = "scanhsi instrument"

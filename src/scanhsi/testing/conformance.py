@@ -16,5 +16,6 @@ a process, a private network) belongs into a fixture of the class: ``@pytest.fix
 
 from scanhsi.testing.actuators import ActuatorConformance
 from scanhsi.testing.cameras import CameraConformance
+from scanhsi.testing.lights import LightConformance
 
-__all__ = ["ActuatorConformance", "CameraConformance"]
+__all__ = ["ActuatorConformance", "CameraConformance", "LightConformance"]

@@ -1,4 +1,4 @@
-"""What the suites for cameras and actuators share: running a device, and what it must leave behind: nothing."""
+"""What the suites for cameras, actuators and lights share: running a device, and what it must leave behind: nothing."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from scanhsi import clock
-from scanhsi.devices import Actuator, Camera
+from scanhsi.devices import Actuator, Camera, Light
 
-D = TypeVar("D", Camera, Actuator)
+D = TypeVar("D", Camera, Actuator, Light)
 T = TypeVar("T")
 
 _GONE_WITHIN_S = 10.0
@@ -22,7 +22,7 @@ _used: set[type] = set()
 
 
 class DeviceConformance(Generic[D]):
-    """Base of both suites.
+    """Base of all suites.
 
     Attributes:
         virtual: Run in virtual time; for devices that wait through asyncio only (``Backend.virtual_time``).
