@@ -174,6 +174,10 @@ class SimulatedActuator:
         step = math.floor(place + 1e-3) if ahead >= place else math.ceil(place - 1e-3)
         return Sighting(step, at_ns, 0)
 
+    def true_span(self, start_ns: int, end_ns: int) -> tuple[int, int]:
+        """Lowest and highest step of the mirror between two times: what really happened, for `scanhsi.testing.witness`."""
+        return self._bench.mirror.span(start_ns, end_ns)
+
     def _delay_ns(self, stream: Stream, line: int, steps: int = 0) -> int:
         return self._streams.delay_ns(stream, line, pixel_format=self._bench.pixel_format, steps=steps)
 

@@ -59,9 +59,9 @@ class Mirror:
             self._add(now_ns, step)
         return step
 
-    def position(self, when_ns: int) -> float:
-        """Position of the motor at a time, in steps."""
-        right = bisect.bisect_right(self._times, when_ns)
+    def position(self, when_ns: int, *, before: bool = False) -> float:
+        """Position of the motor at a time, in steps; `before` a motion without duration that comes at that very time."""
+        right = (bisect.bisect_left if before else bisect.bisect_right)(self._times, when_ns)
         if right == len(self._times):
             return self._steps[-1]
         if right == 0:
@@ -73,7 +73,7 @@ class Mirror:
     def span(self, start_ns: int, end_ns: int) -> tuple[int, int]:
         """Lowest and highest step of the motor during an interval. Equal if it stood still."""
         inside = self._steps[bisect.bisect_right(self._times, start_ns) : bisect.bisect_left(self._times, end_ns)]
-        places = [self.position(start_ns), *inside, self.position(end_ns)]
+        places = [self.position(start_ns), *inside, self.position(end_ns, before=True)]
         # Times are whole ns, so positions on the way are off by up to some 1e-6 steps.
         return math.floor(min(places) + 1e-3), math.ceil(max(places) - 1e-3)
 
@@ -90,7 +90,7 @@ class Mirror:
         lagging = self._lagging[max(right - 1, 0)]
         motion = (self._corners - len(self._times) + right) // 2
         first = follow(lagging, self.position(start_ns), errors.backlash_steps)
-        last = first if low == high else follow(first, self.position(end_ns), errors.backlash_steps)
+        last = first if low == high else follow(first, self.position(end_ns, before=True), errors.backlash_steps)
         places = [place + error_steps(errors, place, motion, self._seed) for place in (first, last)]
         return min(places), max(places)
 

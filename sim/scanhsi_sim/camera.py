@@ -245,6 +245,20 @@ class SimulatedCamera:
         if not is_virtual():
             await run_blocking(0.0, self._load, self._options.scene)
 
+    def true_pixels(self, span: tuple[int, int]) -> Image:
+        """What a frame shows during whose exposure the mirror was there, for `scanhsi.testing.witness`; without noise only."""
+        settings = self._configured("true_pixels")
+        assert settings.roi is not None
+        return self._load(self._options.scene).render(
+            *span,
+            exposure_s=settings.exposure_s,
+            gain_db=settings.gain_db,
+            shape=settings.roi.shape,
+            offset=(settings.roi.band_offset, settings.roi.sample_offset),
+            bits=settings.pixel_format.bits,
+            index=0,
+        )
+
     def shortest_trigger_period_s(self) -> float:
         """Exposure, read-out or transfer, whichever takes longest.
 
