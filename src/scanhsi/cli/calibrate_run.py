@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -130,8 +131,17 @@ async def _nobody(target: Target) -> None:
 
 async def ask(target: Target) -> None:
     """Ask the person at the terminal to do something, and wait for Enter."""
+    _forget_typed()
     messages().print(f"{target.request} Then press Enter.", style="bold")
     await _enter()
+
+
+def _forget_typed() -> None:
+    """What was typed before the question is no answer to it: Enter pressed twice must not pass over the next target."""
+    if os.name == "posix" and sys.stdin.isatty():
+        import termios
+
+        termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
 
 async def _enter() -> None:
