@@ -113,7 +113,9 @@ def _timing(found: Found, folder: Path) -> dict[int, Made]:
         lacks = f"the records of the bench are damaged: {error!r}"
     made: dict[int, Made] = {}
     for number, title in _BENCH.items():
-        own = tuple(path for path in files if path.name.startswith(f"figure{number}-"))
+        own = tuple(
+            sorted((file for file in files if file.name.startswith(f"figure{number}-")), reverse=True)
+        )  # .png first
         made[number] = Made(number, title, own, "" if own else lacks)
     return made
 
@@ -162,7 +164,9 @@ def _is_lamp(result: Wavelength) -> bool:
 
 
 def _tile(found: Found) -> tuple[Draw, str]:
-    result, path = _youngest(found, Wavelength, "wavelength-tile INSTRUMENT -o tile.nc", lambda one: not _is_lamp(one))
+    result, path = _youngest(
+        found, Wavelength, "wavelength-tile INSTRUMENT --certificate tile.csv -o tile.nc", lambda one: not _is_lamp(one)
+    )
     seen = tile_reflectance(_spectra(found, result, path))
     return lambda: draw_tile(result, seen), ""
 
@@ -187,7 +191,7 @@ def _along(axis: str, result: BarContrast) -> bool:
 
 
 def _bars(found: Found) -> tuple[Draw, str]:
-    named = "resolution --from usaf.zarr --bars usaf-bars.csv -o usaf-line.nc"
+    named = "resolution --from usaf.zarr --usaf -o usaf-line.nc"
     line, sample = (found.youngest(BarContrast, partial(_along, axis)) for axis in ("line", "sample"))
     results = [pair for pair in (line, sample) if pair is not None]
     if not results:
@@ -196,12 +200,12 @@ def _bars(found: Found) -> tuple[Draw, str]:
     lacks = "" if len(results) == 2 else "the other axis: `--axis line` and `--axis sample`"
     contrasts = [result for result, _ in results]
     try:
-        elements = load_bars(found.bars[-1]) if found.bars else []
-        target = bar_target(sources_of(*results[0])[0], elements, None if plane is None else plane[0])
+        table = load_bars(found.bars[-1]) if found.bars else None
+        target = bar_target(sources_of(*results[0])[0], table, plane and plane[0])
     except CalibrationError as error:
-        return lambda: draw_bar_target(contrasts, None, None), " ".join(str(error).split())
-    if not found.bars:
-        lacks = "cross-sections: the table of the bars (`--bars`) is not beside the results"
+        return lambda: draw_bar_target(contrasts, None, None), f"the picture: {' '.join(str(error).split())}"
+    if not target.profiles:
+        lacks = f"cross-sections: {target.lacks}"
     return lambda: draw_bar_target(contrasts, target.picture, target.extent_mm, target.profiles), lacks
 
 

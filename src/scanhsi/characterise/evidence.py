@@ -13,7 +13,7 @@ from scanhsi.calibration.dark import DarkModel
 from scanhsi.calibration.figures.bars import Profile
 from scanhsi.calibration.geometry import Geometry
 from scanhsi.calibration.result import Result
-from scanhsi.characterise.bars_from_cube import Bars
+from scanhsi.characterise.bars_from_cube import Bars, find_bars
 from scanhsi.characterise.lit_from_cubes import lit_frames
 from scanhsi.characterise.picture import target_picture
 from scanhsi.characterise.targets_from_cubes import grid_lines
@@ -122,20 +122,22 @@ class BarTarget:
     Attributes:
         picture: From 0, black, to 1, white, (line, sample).
         extent_mm: Left, right, bottom, top.
-        profiles: Of the elements that are told.
+        profiles: Of the elements.
+        lacks: Why there are none of them; empty where there are.
     """
 
     picture: Floats
     extent_mm: tuple[float, float, float, float]
     profiles: list[Profile]
+    lacks: str = ""
 
 
-def bar_target(cube: Path, elements: list[Bars], plane: Geometry | None) -> BarTarget:
+def bar_target(cube: Path, elements: list[Bars] | None, plane: Geometry | None) -> BarTarget:
     """A cube of a bar target with cross-sections of its elements.
 
     Args:
         cube: Of the target.
-        elements: Where its bars are; those outside of the picture are left out.
+        elements: Where its bars are, those outside of the picture are left out; None finds them, if it can.
         plane: Geometry as measured; the instrument file's by default.
 
     Raises:
@@ -146,12 +148,17 @@ def bar_target(cube: Path, elements: list[Bars], plane: Geometry | None) -> BarT
     black, white = (float(level) for level in np.quantile(seen.values, [0.005, 0.9]))
     picture = (seen.values - black) / max(white - black, 1e-9)
     x, y = plane.x_mm(np.arange(picture.shape[1], dtype=np.float64), plane.normal_step), plane.y_mm(seen.steps)
+    lacks = ""
+    try:
+        elements = find_bars(cube, plane=plane) if elements is None else elements
+    except CalibrationError as error:
+        elements, lacks = [], " ".join(str(error).split())
     profiles = [
         _profile(picture, one, x if one.axis == "sample" else y)
         for one in elements
         if min(*one.lines, *one.samples) >= 0 and one.lines[1] < len(y) and one.samples[1] < len(x)
     ]
-    return BarTarget(picture, (float(x[0]), float(x[-1]), float(y[-1]), float(y[0])), profiles)
+    return BarTarget(picture, (float(x[0]), float(x[-1]), float(y[-1]), float(y[0])), profiles, lacks)
 
 
 def _profile(picture: Floats, one: Bars, place: Floats) -> Profile:

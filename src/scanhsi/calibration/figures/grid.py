@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from scanhsi.calibration.figures.style import BLUE, GREY, ORANGE, RED, sheet
+from scanhsi.calibration.figures.style import BLUE, GREY, ORANGE, sheet
 from scanhsi.calibration.geometry import Geometry
 
 Floats = NDArray[np.float64]
@@ -75,13 +76,14 @@ def draw_grid(plane: Geometry, step: ArrayLike, y_mm: ArrayLike, pitch_mm: float
     middle.plot(between, width, "o", color=BLUE, markersize=3)
     middle.plot(degrees, pitch_mm / plane.line_pitch_mm(many), color=ORANGE)
     middle.set_ylabel("cell of the grid / steps")
-    rest = known - plane.y_mm(found)
+    even = replace(plane, turn_steps=math.nan)
     right.axhline(0, color=GREY, linewidth=0.8)
-    right.plot(angle, rest, "o", color=BLUE, markersize=3)
-    sigma = plane.residual_mm
-    if math.isfinite(sigma):
-        right.axhspan(-sigma, sigma, color="0.93", zorder=0)
-        right.set_title(f"$\\sigma$ = {sigma:.2f} mm", color=RED if sigma > pitch_mm / 4 else "black")
+    right.plot(angle, known - even.y_mm(found), "o", color=BLUE, markersize=3)
+    words = [f"$\\sigma$ = {plane.residual_mm:.2f} mm"] if math.isfinite(plane.residual_mm) else []
+    if math.isfinite(plane.turn_steps):
+        right.plot(degrees, plane.y_mm(many) - even.y_mm(many), color=ORANGE, linewidth=1)
+        words.append(f"around a shaft out of true, {plane.turn_steps:.0f} steps a turn")
+    right.set_title(" ".join(words), fontsize=7)
     right.set_ylabel("grid less model / mm")
     for axes in (left, middle, right):
         axes.set_xlabel(r"optical angle $\gamma$ / degrees")
