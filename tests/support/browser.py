@@ -65,7 +65,9 @@ def _missing(what: str) -> None:
 def page_at(browser: Any, url: str, size: str, scheme: str = "dark") -> Generator[Any]:
     """A page of some size; fails when anything is said in its console that is not good."""
     width, height = SIZES[size]
-    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme, accept_downloads=True)
+    context = browser.new_context(
+        viewport={"width": width, "height": height}, color_scheme=scheme, accept_downloads=True
+    )
     page = context.new_page()
     wrong: list[str] = []
     page.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
@@ -102,7 +104,10 @@ LOW_CONTRAST = """() => {
   return found; }"""
 """Text whose contrast to what is behind it is below 4.5 (WCAG AA)."""
 
-SCROLLS = """() => { const s = document.scrollingElement; return s.scrollHeight > s.clientHeight + 1 || s.scrollWidth > s.clientWidth + 1
-  || [...document.querySelectorAll('#screen *')].some(one => one.scrollHeight > one.clientHeight + 2
-     && ['auto', 'scroll'].includes(getComputedStyle(one).overflowY)); }"""
+SCROLLS = """() => {
+  const page = document.scrollingElement;
+  const over = (one, by) => one.scrollHeight > one.clientHeight + by || one.scrollWidth > one.clientWidth + by;
+  return over(page, 1) || [...document.querySelectorAll('#screen *')].some(one =>
+    ['auto', 'scroll'].includes(getComputedStyle(one).overflowY) && one.scrollHeight > one.clientHeight + 2);
+}"""
 """Whether anything on the screen has to be scrolled."""

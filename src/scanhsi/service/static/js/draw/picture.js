@@ -83,8 +83,6 @@ export function picture({ keepAspect = false, smooth = false, overlay = null, on
       redraw();
     },
     pixels() { return size ? buffer.getContext("2d").getImageData(0, 0, ...size) : null; },
-    // How much brighter than it is.
-    brighten(factor) { element.style.filter = factor > 1.05 ? `brightness(${factor.toFixed(2)})` : ""; },
     say(text) {
       caption.hidden = !text;
       if (caption.textContent !== text) caption.textContent = text ?? "";

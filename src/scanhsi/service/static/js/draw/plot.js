@@ -10,7 +10,7 @@ const TOP = 8;
 const RIGHT = 10;
 
 // `show({x, lines: [{y, colour, width, alpha, band: [low, high]}], bars, xlabel, ylabel, marks, ymin, ymax})`
-export function plot({ label = "plot", oncursor = null } = {}) {
+export function plot({ label = "plot", onpick = null } = {}) {
   let data = null;
   let axis = null;
   const { element, redraw } = canvas((context, width, height) => {
@@ -36,14 +36,16 @@ export function plot({ label = "plot", oncursor = null } = {}) {
   });
   element.setAttribute("role", "img");
   element.setAttribute("aria-label", label);
-  if (oncursor) {
-    element.addEventListener("pointermove", (event) => {
-      if (axis) oncursor(axis.xAt(event.clientX - element.getBoundingClientRect().left));
+  if (onpick) {
+    element.style.cursor = "crosshair";
+    element.addEventListener("pointerdown", (event) => {
+      if (axis) onpick(axis.xAt(event.clientX - element.getBoundingClientRect().left));
     });
   }
   return {
     element: h("div.plot.fills", element),
     show(to) { data = to; redraw(); },
+    mark(places) { if (data) { data.marks = places; redraw(); } },
     redraw,
   };
 }

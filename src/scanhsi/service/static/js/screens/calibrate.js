@@ -2,8 +2,6 @@
 
 import { get, post } from "../api.js";
 import { button, fill, h } from "../dom.js";
-import { number } from "../format.js";
-import { download } from "./download.js";
 import { attempt } from "../messages.js";
 import { state } from "../store.js";
 import { command, commands, controlNote, jobCard } from "./common.js";
@@ -26,25 +24,34 @@ const WHAT = {
 };
 
 function open(element, page) {
-  const results = h("div.pane.fills.scrolls");
+  const results = h("div.pane.fills.scrolls", { tabIndex: 0 });
   const job = jobCard(page, ["calibration", "auto-exposure"], (over) => over.result?.rows && show(over));
+  const main = h("div.pane.scrolls", { tabIndex: 0 });
   const kinds = state.capabilities?.calibrations ?? [];
   const list = h("div.list", kinds.map((kind) => {
     const [name, text] = WHAT[kind] ?? [kind.replaceAll("_", " "), ""];
-    return h("div.card", h("div.row", { style: { flexWrap: "nowrap" } },
-      h("div", { style: { flex: "1" } }, h("b", name), h("p.muted", text)),
+    return h("div.card", h("div.row.one",
+      h("div.fills", h("b", name), h("p.muted", text)),
       command("Start", () => post("/calibrations", { kind }), { "aria-label": `start ${name}` })));
   }));
   const show = ({ title, output, result }) => fill(results, h("div.card",
-    h("h2", title), result.simulated && h("div.badge", { style: { alignSelf: "flex-start" } }, "SIMULATED"),
-    h("table", h("tbody", result.rows.map((row) => h("tr", h("th", row.label ?? row.name ?? row.quantity), h("td", value(row)))))),
+    h("h2", title), simulated(result), h("table", h("tbody", result.rows.map((row) => h("tr", h("th", row.title), h("td", value(row)))))),
     h("p.muted", `Kept as ${output}.`)));
-  element.append(h("div.panes.wide",
-    h("div.pane.scrolls", { tabIndex: 0 }, controlNote(), list),
-    h("div.pane", job.element, results,
-      button("Specification sheet", () => attempt(() => download("/spec?format=pdf"))))));
+  const choose = () => {
+    fill(main, controlNote(), list);
+    commands(page, main);
+    fill(shown, "Specification sheet");
+  };
+  const shown = button("", () => attempt(async () => {
+    if (!list.isConnected) choose();
+    else {
+      fill(main, sheet(await get("/spec")));
+      fill(shown, "Calibrations");
+    }
+  }));
+  element.append(h("div.panes.wide", main, h("div.pane", job.element, results, shown)));
   fill(results, h("p.note", "Each calibration says what it needs before the instrument and waits until it is there. Results are kept in the data folder and go into the specification sheet."));
-  commands(page, element);
+  choose();
   get("/jobs").then((jobs) => {
     const last = jobs.find((one) => ["calibration", "auto-exposure"].includes(one.kind));
     if (!last) return;
@@ -53,11 +60,15 @@ function open(element, page) {
   }).catch(() => {});
 }
 
-function value(row) {
-  if (row.text) return row.text;
-  if (typeof row.value !== "number") return row.value ?? "–";
-  const sigma = row.uncertainty ?? row.sigma;
-  return `${number(row.value, 4)}${sigma ? ` ± ${number(sigma, 2)}` : ""} ${row.unit ?? ""}`;
+const simulated = (of) => of.simulated && h("div.row", h("div.badge", "SIMULATED"));
+
+const value = ({ value: text, uncertainty }) => (uncertainty ? `${text} ± ${uncertainty}` : text);
+
+// Table 7 of the paper, from the results in the data folder.
+function sheet({ name, table, further, ...of }) {
+  const row = (one) => h("tr", h("th", one.title), h("td", value(one), one.source && h("p.muted", one.source)), h("td", one.paper ?? ""));
+  return h("div.card", h("div.row", h("h2", `Specification of ${name}`), simulated(of)),
+    h("table", h("thead", h("tr", ["", "here", "in the paper"].map((text) => h("th", text)))), h("tbody", table.map(row), further.map(row))));
 }
 
 export default { title: "Calibrate", open };

@@ -3,7 +3,7 @@
 import { post, put } from "../api.js";
 import { whileInControl } from "../control.js";
 import { button, fill, h } from "../dom.js";
-import { colourImage, greyImage } from "../draw/colours.js";
+import { colourImage, greyImage, stretchOf } from "../draw/colours.js";
 import { picture } from "../draw/picture.js";
 import { attempt } from "../messages.js";
 import { state } from "../store.js";
@@ -22,34 +22,26 @@ export function framePicture(page, options = {}) {
   return shown;
 }
 
-// The colour picture of a scan as it grows: samples across, lines down.
+// The colour picture of a scan as it grows: samples across, lines down. What is brightest so far is taken for white, what is
+// darkest for black.
 export function rowsPicture(page, options = {}) {
   const shown = picture(options);
   let epoch = null;
+  let stretch = null;
   const draw = (rows) => {
     if (!rows) return;
-    if (epoch !== rows.epoch) {
-      epoch = rows.epoch;
-      shown.begin(rows.width, rows.rows);
-      shown.rows(colourImage(rows.all.subarray(0, rows.reached * rows.width * 3), rows.width, Math.max(1, rows.reached)), 0);
-    } else if (rows.shape[0]) shown.rows(colourImage(rows.pixels, rows.width, rows.shape[0]), rows.first);
-    shown.brighten(255 / brightest(rows));
+    const soFar = rows.all.subarray(0, rows.reached * rows.width * 3);
+    const fitting = stretchOf(soFar);
+    const off = !stretch || fitting.some(([low, gain], channel) => Math.abs(low - stretch[channel][0]) > 4 || Math.abs(gain / stretch[channel][1] - 1) > 0.08);
+    if (epoch !== rows.epoch) shown.begin(rows.width, rows.rows);
+    if (epoch !== rows.epoch || off) {
+      [epoch, stretch] = [rows.epoch, fitting];
+      if (rows.reached) shown.rows(colourImage(soFar, rows.width, rows.reached, stretch), 0);
+    } else if (rows.shape[0]) shown.rows(colourImage(rows.pixels, rows.width, rows.shape[0], stretch), rows.first);
   };
   draw(state.rows);
   page.on("rows", draw);
   return shown;
-}
-
-// What 99 % of the picture so far are darker than.
-function brightest({ all, reached, width }) {
-  const counts = new Uint32Array(256);
-  const end = reached * width * 3;
-  const every = Math.max(1, Math.floor(end / 30000));
-  let seen = 0;
-  for (let index = 0; index < end; index += every, seen += 1) counts[all[index]] += 1;
-  let [value, above] = [255, counts[255]];
-  while (value > 32 && above < seen / 100) above += counts[(value -= 1)];
-  return value;
 }
 
 export function liveSwitch(page) {

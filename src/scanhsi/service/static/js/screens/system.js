@@ -17,7 +17,7 @@ function open(element, page) {
     while (log.children.length > KEPT) log.lastChild.remove();
   };
   page.on("log", add);
-  get("/log").then((events) => events.forEach(add)).catch(() => {});
+  get("/logs").then((events) => events.forEach(add)).catch(() => {});
   const viewers = h("td");
   const holder = h("td");
   page.on("state", (info) => {

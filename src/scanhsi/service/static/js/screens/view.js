@@ -30,7 +30,8 @@ function open(element, page) {
     oncursor: (x, y, pressed) => pressed && spectrumAt(x, y),
     onregion: (x0, y0, x1, y1) => spectrumOver(x0, y0, x1, y1),
   });
-  const spectra = plot({ label: "spectra" });
+  // A place on the axis of the spectra is a band of the picture.
+  const spectra = plot({ label: "spectra", onpick: (value) => pick(info.wavelength_nm ? nearest(info.wavelength_nm, value) : Math.round(value)) });
   const told = h("p.muted", "Touch the picture for a spectrum, drag for the mean over a region.");
   const slider = h("input", { type: "range", min: 0, max: 1, step: 1, "aria-label": "band" });
   const band = h("b");
@@ -71,7 +72,7 @@ function open(element, page) {
       sample: Math.floor(x0 * scale[0]), sample_end: Math.min(info.samples, Math.ceil((x1 + 1) * scale[0])),
     };
     const found = await get(query(`/cubes/${cube}/spectrum`, region));
-    const [low, high] = [-1, 1].map((sign) => found.mean.map((value, index) => value + sign * found.std[index]));
+    const [low, high] = [-1, 1].map((sign) => found.mean.map((value, index) => value + sign * found.sigma[index]));
     spectra.show({ ...axis(), ylabel: found.quantity, lines: [{ y: found.mean, band: [low, high] }], marks: mark() });
     told.textContent = `Lines ${region.line} to ${region.line_end - 1}, samples ${region.sample} to ${region.sample_end - 1}: mean and standard deviation of ${found.pixels} pixels.`;
   });
@@ -81,15 +82,19 @@ function open(element, page) {
     spectra.show({ ...axis(), ylabel: found.quantity, lines: found.spectra.map((y) => ({ y, alpha: 0.25, width: 1 })) });
     told.textContent = "100 spectra of pixels drawn at random.";
   });
-  slider.addEventListener("input", () => {
+  const pick = (index) => {
+    slider.value = index;
     band.textContent = bandName(slider.value);
     wanted = "band";
     mode.show("band");
+    spectra.mark(mark());
     draw();
-  });
+  };
+  slider.addEventListener("input", () => pick(slider.value));
 
   const openCube = (id) => attempt(async () => {
     cube = id;
+    shown.say("reading …");
     info = await get(`/cubes/${id}`);
     slider.max = info.bands - 1;
     slider.value = info.wavelength_nm ? nearest(info.wavelength_nm, PRESET_NM) : Math.floor(info.bands / 2);
@@ -119,15 +124,15 @@ function open(element, page) {
     onchange: () => attempt(async () => {
       const format = formats.value;
       formats.value = "";
-      if (format && cube) await download(query(`/cubes/${cube}/export`, { format }));
+      if (format && cube) await download(cube, format);
     }),
   });
-  element.append(h("div.panes.wide",
+  element.append(h("div.panes.viewer",
     h("div.pane", shown.element),
     h("div.pane",
       h("div.row.even", cubes.element, formats.element),
       h("div.row.even", mode.element, button("100 random", random, { title: "100 spectra of pixels drawn at random" })),
-      h("div.row", { style: { flexWrap: "nowrap" } }, slider, band),
+      h("div.row.one", slider, band),
       h("div.card.fills", spectra.element),
       told)));
 }
