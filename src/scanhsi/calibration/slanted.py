@@ -23,7 +23,7 @@ _PADDING: Final = 16  # of spectra, so that a frequency between two of theirs is
 _STANDS_OUT: Final = 8.0  # times the median of the spectrum
 _LEAST_LINES: Final = 16
 _LEAST_SAMPLES: Final = 16
-_AMBIGUOUS: Final = 0.4  # of a period: farther off, it may as well be off to the other side
+_ALIKE: Final = 0.3  # mean resultant of scans: with less, lines may as well lie off to the other side
 
 
 def displacements(lines: NDArray[np.floating], slope: float, sample_pitch_mm: float) -> Floats:
@@ -70,13 +70,14 @@ def repeated_displacements(scans: Sequence[NDArray[np.floating]]) -> Floats:
         raise CalibrationError("the scans differ in lines or samples.", hint="scan the same steps every time")
     wave, _ = _waves(scans)
     turned = wave / np.abs(wave)
-    phase = np.angle(turned * np.conj(turned.mean(axis=0)))
-    phase -= phase.mean(axis=0)  # the mean of unit vectors is not quite the mean of angles
-    if np.abs(phase).max() > _AMBIGUOUS * 2 * np.pi:
+    common = turned.mean(axis=0)
+    if float(np.abs(common).mean()) < _ALIKE:
         raise CalibrationError(
             "lines lie almost half a period of the target apart from scan to scan: by how much they do is ambiguous.",
             hint="a target with wider lines",
         )
+    phase = np.angle(turned * np.conj(common))
+    phase -= phase.mean(axis=0)  # the mean of unit vectors is not quite the mean of angles
     return -phase / (2 * np.pi)
 
 
