@@ -18,6 +18,7 @@ class ExitCode(IntEnum):
     USAGE = 2
     DEVICE = 3
     CUBE = 4
+    UNSAFE = 5
     INTERNAL = 70
     INTERRUPTED = 130
 
@@ -25,10 +26,12 @@ class ExitCode(IntEnum):
 EXIT_CODES: Final = (
     "0 done; 1 the scan ended early or lost lines, what was stored is safe; 2 wrong command line, instrument file or plan, "
     "nothing was moved; 3 a device is missing, busy, lost or fails; 4 a cube, reference or picture cannot be read, written or "
-    "used, nothing was overwritten; 70 a bug in scanhsi; 130 interrupted"
+    "used, nothing was overwritten; 5 UNSAFE: the mirror may be moving, or the "
+    "light be on; 70 a bug in scanhsi; 130 interrupted"
 )
 
 _CODES: Final[tuple[tuple[type[BaseException], ExitCode], ...]] = (
+    (errors.DeviceUnsafe, ExitCode.UNSAFE),
     (errors.ScanFailed, ExitCode.SCAN_FAILED),
     (errors.ConfigError, ExitCode.USAGE),
     (errors.OutOfRange, ExitCode.USAGE),
@@ -44,4 +47,6 @@ _CODES: Final[tuple[tuple[type[BaseException], ExitCode], ...]] = (
 
 def exit_code_of(error: BaseException) -> ExitCode:
     """The exit code that an error ends a command with."""
+    if isinstance(error, errors.ScanFailed) and error.unsafe:
+        return ExitCode.UNSAFE
     return next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.INTERNAL)

@@ -31,8 +31,12 @@ def info(
 
     summary = cube_summary(cube)
     records = read_records(cube) if summary.shape[1] else None
-    stages = stage_times(records.stamps) if records else {}
+    runs = _runs(summary, records.run.tolist()) if records else []
+    incidents = records.incidents if records else []
+    breaks = [*(each.line for each in incidents), *(run["first"] for run in runs)]
+    stages = stage_times(records.stamps, breaks) if records else {}
     smeared = int(records.smeared.sum()) if records else 0
+    retaken = int((records.attempt > 1).sum()) if records else 0
     period_s = stages["line"].mean_s if "line" in stages else None
     exposure_s = _plan(summary).get("exposure_s")
     efficiency = exposure_s / period_s if period_s and isinstance(exposure_s, float) else None
@@ -44,18 +48,39 @@ def info(
                 "lines_per_second": 1 / period_s if period_s else None,
                 "efficiency": efficiency,
                 "lines_smeared": smeared,
+                "lines_retaken": retaken,
+                "runs": runs,
+                "incidents": [each.to_json() for each in incidents],
                 "stages": {name: asdict(stage) for name, stage in stages.items()},
             }
         )
         return
-    from scanhsi.cli.summary import missing_lines, stage_table
+    from scanhsi.cli.summary import facts, incident_lines, interruptions, missing_lines, stage_table
 
     console = results()
     console.print(_facts(summary, period_s, efficiency, smeared))
+    console.print(facts({"interrupted": interruptions(incidents, retaken)}))
+    for run in runs if len(runs) > 1 else ():
+        console.print(f"lines {run['first']} to {run['last']}: run {run['run']}, {run['at']}")
     if stages:
         console.print(stage_table(stages))
+    for line in incident_lines(incidents):
+        console.print(line)
     for line in missing_lines(summary.missing_reasons):
         console.print(line)
+
+
+def _runs(summary: CubeSummary, numbers: list[int]) -> list[dict[str, Any]]:
+    """Which lines each session took: first and last line, the session's name, and when it began."""
+    told = summary.attributes
+    acquisition, resumed = told.get("acquisition", {}), told.get("resumed", [])
+    sessions = [{"run": told.get("run"), "at": acquisition.get("started")}, *resumed]
+    found: list[dict[str, Any]] = []
+    for number in sorted(set(numbers)):
+        lines = [line for line, run in enumerate(numbers) if run == number]
+        session = sessions[number] if number < len(sessions) else {}
+        found.append({"first": lines[0], "last": lines[-1], "run": session.get("run"), "at": session.get("at")})
+    return found
 
 
 def _plan(summary: CubeSummary) -> dict[str, Any]:
@@ -109,5 +134,7 @@ def _real_time(summary: CubeSummary) -> str | None:
 
 
 def _shown_plan(plan: dict[str, Any]) -> dict[str, Any]:
-    elsewhere = ("exposure_s", "gain_db", "look_ahead")
+    elsewhere = {"exposure_s", "gain_db", "look_ahead", "line_retries", "retries", "recover_within_s"}
+    if plan.get("on_fault") == "skip":
+        elsewhere.add("on_fault")
     return {key: value for key, value in plan.items() if key not in elsewhere and value is not None}

@@ -67,6 +67,11 @@ def show_error(error: BaseException, *, as_json: bool, debug: bool) -> ExitCode:
     console.print(Text.assemble(("error: ", "bold red"), (sentence, "red")), soft_wrap=True)
     if hint:
         console.print(Text.assemble(("try: ", "bold"), hint), soft_wrap=True)
+    if isinstance(error, ScanFailed):
+        for unsafe in error.unsafe:
+            console.print(
+                Text(f"{unsafe.message} ({unsafe.device}): {unsafe.hint}", style="bold white on red"), soft_wrap=True
+            )
     return code
 
 
@@ -84,6 +89,7 @@ def describe_error(error: BaseException) -> dict[str, Any]:
         described["problems"] = list(error.problems)
     if isinstance(error, ScanFailed):
         described |= {"stored": error.stored, "lines": error.lines, "output": error.output}
+        described["unsafe"] = [str(device.device) for device in error.unsafe]
         described["causes"] = [describe_error(cause) for cause in error.causes]
     elif isinstance(error.__cause__, ExceptionGroup):  # several devices failed at once
         group = cast("ExceptionGroup[Exception]", error.__cause__)

@@ -64,9 +64,13 @@ def bytes_shown(console: Console, doing: str) -> Generator[Callable[[int, int], 
 def describe(progress: Progress) -> str:
     """One line: lines, lines/s, efficiency, time left, lost lines."""
     return (
-        f"line {progress.taken + progress.missing}/{progress.lines}, {progress.lines_per_second:.1f} lines/s, "
+        f"{_state(progress)}line {progress.taken + progress.missing}/{progress.lines}, {progress.lines_per_second:.1f} lines/s, "
         f"efficiency {progress.efficiency:.1%}, {clock(progress.remaining_s)} left, {progress.missing} lost"
     )
+
+
+def _state(progress: Progress) -> str:
+    return "" if progress.state == "scanning" else f"{progress.state}, "
 
 
 def clock(seconds: float) -> str:
@@ -95,7 +99,7 @@ def _bar(console: Console) -> Generator[Callable[[Progress], None]]:
         def show(progress: Progress) -> None:
             done = progress.taken + progress.missing
             facts = (
-                f"{done}/{progress.lines} lines  {progress.lines_per_second:.1f} lines/s  "
+                f"{_state(progress)}{done}/{progress.lines} lines  {progress.lines_per_second:.1f} lines/s  "
                 f"efficiency {progress.efficiency:.1%}  {clock(progress.remaining_s)} left  {progress.missing} lost"
             )
             bars.update(task, total=progress.lines, completed=done, facts=facts)
@@ -105,14 +109,14 @@ def _bar(console: Console) -> Generator[Callable[[Progress], None]]:
 
 
 def _at_most_every(period_s: float, show: Callable[[Progress], None]) -> Callable[[Progress], None]:
-    """Let a call pass when the last that passed is long enough ago, or when it is the last of the scan."""
-    due = 0.0
+    """Let a call pass when the last that passed is long enough ago, when it is the last of the scan, or the state is another."""
+    due, state = 0.0, "scanning"
 
     def limited(progress: Progress) -> None:
-        nonlocal due
+        nonlocal due, state
         now = time.monotonic()
-        if now >= due or progress.taken + progress.missing >= progress.lines:
-            due = now + period_s
+        if now >= due or progress.taken + progress.missing >= progress.lines or progress.state != state:
+            due, state = now + period_s, progress.state
             show(progress)
 
     return limited

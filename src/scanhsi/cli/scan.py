@@ -25,6 +25,15 @@ from scanhsi.cli.codes import ExitCode
 from scanhsi.cli.drain import drain_shown
 from scanhsi.cli.output import messages, results, write_json
 from scanhsi.cli.real_time import RealTimeOption, parsed_real_time
+from scanhsi.cli.resuming import (
+    LineRetriesOption,
+    OnFaultOption,
+    RecoverWithinOption,
+    ResumeOption,
+    RetriesOption,
+    begun_with,
+    refuse_with_resume,
+)
 from scanhsi.cli.storage_options import (
     BinBandsOption,
     BinSamplesOption,
@@ -50,8 +59,12 @@ def register(app: typer.Typer) -> None:
 
 def scan(
     instrument: Annotated[
-        str, typer.Argument(help="Name of a shipped instrument (sensors2019, twin), or path of an instrument file.")
-    ] = "sensors2019",
+        str | None,
+        typer.Argument(
+            help="Name of a shipped instrument (sensors2019, twin), or path of an instrument file.",
+            show_default="sensors2019",
+        ),
+    ] = None,
     output: Annotated[
         str | None,
         typer.Option(
@@ -61,6 +74,7 @@ def scan(
             help="Cube to create: a folder, conventionally *.zarr, or s3://bucket/cube.zarr.",
         ),
     ] = None,
+    resume: ResumeOption = None,
     spool: SpoolOption = None,
     discard: Annotated[bool, typer.Option("--discard", help="Store nothing: measure how fast it goes.")] = False,
     mode: Annotated[
@@ -87,6 +101,10 @@ def scan(
             help="Stepped scans: send moves early, accepting this probability (0 to 0.5) that a line is smeared, and flagged.",
         ),
     ] = None,
+    on_fault: OnFaultOption = None,
+    line_retries: LineRetriesOption = None,
+    retries: RetriesOption = None,
+    recover_within: RecoverWithinOption = None,
     virtual: Annotated[
         bool, typer.Option("--virtual", help="Run in virtual time: exact, and as fast as it can be computed.")
     ] = False,
@@ -134,11 +152,14 @@ def scan(
 ) -> None:
     """Scan a cube. What is not given comes from the instrument file.
 
-    The first Ctrl-C finishes the line and closes the cube, the second cancels the line, too.
+    The first Ctrl-C finishes the line and closes the cube, the second cancels the line, too. Ctrl-Z (or SIGUSR1) pauses after the
+    line, with the mirror still and the camera disarmed; Ctrl-Z again (or SIGUSR2) goes on.
 
     [bold]Example[/]: scanhsi scan sensors2019 -o hand.zarr --lines 300 --exposure "20 ms"
 
     [bold]Example[/]: scanhsi scan -o hand.zarr --reflectance hand-reflectance.zarr --dark dark.nc --white white.nc
+
+    [bold]Example[/]: scanhsi scan --resume hand.zarr --on-fault retry
 
     [bold]Example[/]: scanhsi scan --virtual --discard --lines 1200 --exposure "100 ms" --mode continuous --json
     """
@@ -146,21 +167,16 @@ def scan(
     from scanhsi.imager import default_plan
     from scanhsi.instrument import load_instrument
 
-    if (output is None) != discard:
-        raise typer.BadParameter("say where the cube goes with -o OUT, or --discard it; one of the two.")
+    if [output is not None, discard, resume is not None].count(True) != 1:
+        raise typer.BadParameter(
+            "say where the cube goes with -o OUT, or --discard it, or --resume one; one of the three."
+        )
     if spool is not None and discard:
         raise typer.BadParameter("nothing is stored with --discard.", param_hint="--spool")
     chain = Chain(dark, white, white_dark, tile, saturation, wavelength, smile, keystone, average_bands)
     process = _live(reflectance, chain)
     options = parsed_real_time(real_time, virtual=virtual)
     storage = storage_settings(codec, raw, durability, bin_bands, bin_samples)
-    config = load_instrument(instrument, {**parsed_settings(settings or ()), **storage})
-    if seed is not None:
-        config = config.with_seed(seed)
-    if delays is not None:
-        config = config.with_delays(delays)
-    if virtual:
-        refuse_real_devices(config)
     given = {
         "mode": mode,
         "lines": lines,
@@ -172,9 +188,27 @@ def scan(
         "period": period,
         "look_ahead": look_ahead,
     }
-    overrides = {name: value for name, value in given.items() if value is not None}
-    plan = default_plan(config, **overrides)
-    report = clock.run(_scan(config, plan, output, options, spool, process), virtual=virtual)
+    faults = {
+        "on_fault": on_fault,
+        "line_retries": line_retries,
+        "retries": retries,
+        "recover_within": recover_within,
+    }
+    recovery = {name: value for name, value in faults.items() if value is not None}
+    if resume is not None:
+        refuse_with_resume({**given, "seed": seed, "delays": delays, "reflectance": reflectance, **storage})
+        config, plan = begun_with(resume, instrument, parsed_settings(settings or ()), recovery, spool)
+    else:
+        config = load_instrument(instrument or "sensors2019", {**parsed_settings(settings or ()), **storage})
+        if seed is not None:
+            config = config.with_seed(seed)
+        if delays is not None:
+            config = config.with_delays(delays)
+        plan = default_plan(config, **{name: value for name, value in given.items() if value is not None}, **recovery)
+    if virtual:
+        refuse_real_devices(config)
+    work = _scan(config, plan, output or resume, options, spool, process, resume=resume is not None)
+    report = clock.run(work, virtual=virtual)
     try:
         _finish(report, as_json=json)
     finally:
@@ -200,6 +234,8 @@ async def _scan(
     options: RealTime,
     spool: Path | None,
     process: LiveProcessing | None,
+    *,
+    resume: bool,
 ) -> ScanReport:
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
@@ -216,12 +252,17 @@ async def _scan(
         async with open_instrument(config) as imager:
             with shown(console) as show:
                 interrupt.scanning = True
+                control = interrupt.control
                 try:
+                    if resume and output is not None:
+                        return await imager.resume(
+                            output, plan, on_progress=show, control=control, real_time=options, spool=spool
+                        )
                     return await imager.scan(
                         plan,
                         output,
                         on_progress=show,
-                        stop=interrupt.stop,
+                        control=control,
                         real_time=options,
                         spool=spool,
                         process=process,
@@ -234,6 +275,8 @@ async def _scan(
                 except ScanFailed:
                     if spool is not None:
                         tell(f"what was stored waits in the spool, safe: scanhsi drain {spool}")
+                    elif output is not None:
+                        tell(f"to finish the cube, once the cause is gone: scanhsi scan --resume {output}")
                     raise
                 finally:
                     interrupt.scanning = False

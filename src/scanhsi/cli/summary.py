@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich import box
@@ -16,6 +16,7 @@ from scanhsi.timing.smear import motion_mtf, period_for_smear_s, smear_part
 
 if TYPE_CHECKING:
     from scanhsi.clock import Granted
+    from scanhsi.cube.records import Incident
     from scanhsi.engine import ScanReport
     from scanhsi.timing.observed import StageTime
 
@@ -44,9 +45,12 @@ def scan_summary(report: ScanReport) -> RenderableType:
                 "look-ahead": look_ahead(report.look_ahead, report.smeared),
                 "bound": bound(report.bound_s, report.regret),
                 "real time": _real_time(report.real_time),
+                "resumed": f"at line {report.resumed_at}" if report.resumed_at else None,
+                "interrupted": interruptions(report.incidents, report.retaken),
             }
         ),
         stage_table(report.stages),
+        *incident_lines(report.incidents),
         *missing_lines(report.missing_reasons),
     )
 
@@ -78,6 +82,25 @@ def missing_lines(reasons: Mapping[int, str]) -> list[RenderableType]:
     ]
     more = len(reasons) - len(shown)
     return [*shown, Text(f"and {more} more", style="yellow")] if more else [*shown]
+
+
+def interruptions(incidents: Sequence[Incident], retaken: int) -> Text | None:
+    """How often and for how long something kept a scan from going on; None where nothing did."""
+    if not incidents:
+        return None
+    faults = sum(incident.kind == "fault" for incident in incidents)
+    told = f"{faults} faults, {len(incidents) - faults} pauses, {duration(sum(each.lasted_s for each in incidents))} in all"
+    return Text(f"{told}; {retaken} lines taken more than once", style="yellow" if faults else "")
+
+
+def incident_lines(incidents: Sequence[Incident]) -> list[RenderableType]:
+    """What kept a scan from going on, the first of it."""
+    shown = [
+        Text(f"{each.kind} at line {each.line}, {duration(each.lasted_s)}: {each.cause.rstrip('.')}: {each.action}")
+        for each in incidents[:_MOST_REASONS]
+    ]
+    more = len(incidents) - len(shown)
+    return [*shown, Text(f"and {more} more")] if more else [*shown]
 
 
 def bound(bound_s: float | None, regret: float | None) -> str | None:
