@@ -169,9 +169,10 @@ def light_from_cubes(
     if dark is not None:
         check_dark(dark, Conditions.of(datasets[0].attrs))
     black = dark.at(exposure_s) if dark is not None else stack_frames(below[0]).mean
-    stacks = [stack_frames(cube) for cube in snapshots]
-    good = ~np.any([stack.saturated for stack in stacks], axis=0)
-    signals = np.array([float((stack.mean - black)[good].mean()) for stack in stacks])
+    good = np.ones(black.shape, bool)
+    for cube in snapshots:  # twice through the cubes, so that memory does not grow with their number
+        good &= ~stack_frames(cube).saturated
+    signals = np.array([float((stack_frames(cube).mean - black)[good].mean()) for cube in snapshots])
     times = np.array([_time_s(dataset) for dataset in datasets])
     order = np.argsort(times)
     times = times - times.min() + on_before_s
