@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from scanhsi.calibration.geometry import Geometry, Turn
 from scanhsi.calibration.resolution import EdgeResponse
 from scanhsi.characterise.protocols.base import Protocols, finish
 from scanhsi.characterise.station import GRID, SLANTED_EDGE
-from scanhsi.characterise.targets_from_cubes import edge_from_cube, geometry_from_cube
+from scanhsi.characterise.targets_from_cubes import edge_from_cubes, geometry_from_cube
+
+_SCANS: Final = 6
 
 
 class OpticsProtocols(Protocols):
@@ -58,6 +60,7 @@ class OpticsProtocols(Protocols):
         axis: Literal["line", "sample"] = "line",
         plane: Geometry | None = None,
         half_mm: float = 30.0,
+        scans: int | None = None,
         exposure_s: float | None = None,
     ) -> EdgeResponse:
         """Modulation transfer across a slanted edge (figure 11).
@@ -67,12 +70,17 @@ class OpticsProtocols(Protocols):
             axis: ``line`` along the scan, ``sample`` along the slit.
             plane: Geometry as measured; the instrument file's by default.
             half_mm: How far the scan goes to both sides.
+            scans: How many, to average over the jitter. Default: six along the scan, one along the slit.
             exposure_s: Default: found by `auto_exposure` on the target.
 
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
         self.check(plane)
+        count = scans or (_SCANS if axis == "line" else 1)
         async with self.station(output) as at:
-            cube = await self.scan_target(at, SLANTED_EDGE, half_mm, exposure_s)
-            return await finish(output, lambda: edge_from_cube(cube, axis, plane=plane))
+            await at.look_at(SLANTED_EDGE)
+            plan = self.stepwise(*self.steps_around(half_mm), await self.exposure(exposure_s))
+            names = [f"{SLANTED_EDGE.name}-{number}" for number in range(count)]
+            cubes = [await at.take(name, SLANTED_EDGE, plan) for name in names]
+            return await finish(output, lambda: edge_from_cubes(cubes, axis, plane=plane))

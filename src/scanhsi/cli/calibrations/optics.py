@@ -62,6 +62,10 @@ def resolution(
         Path | None,
         typer.Option(help="With --from a cube of a USAF target: CSV that says where its bars are.", dir_okay=False),
     ] = None,
+    usaf: Annotated[
+        bool, typer.Option("--usaf", help="With --from a cube of a USAF target, its groups in columns: find the bars.")
+    ] = False,
+    scans: Annotated[int | None, typer.Option(min=1, help="To average. Default: six along the scan, else one.")] = None,
     plane: Plane = None,
     half: Half = 30.0,
     exposure: Exposure = None,
@@ -71,17 +75,19 @@ def resolution(
     [bold]Example[/]: scanhsi calibrate resolution characterise --axis line --plane geometry.nc -o mtf-line.nc
     """
     from scanhsi.characterise.bars_from_cube import bars_from_cube, load_bars
-    from scanhsi.characterise.targets_from_cubes import edge_from_cube
+    from scanhsi.characterise.targets_from_cubes import edge_from_cubes
 
     known, time = given.plane(plane), seconds_of(exposure, "--exposure")
-    if bars is not None and given.cubes is None:
-        raise typer.BadParameter("look at the cube first, to say where the bars are: use --from.", param_hint="--bars")
+    if (usaf or bars is not None) and given.cubes is None:
+        raise typer.BadParameter("scan the target, and give its cube with --from.", param_hint="--usaf, --bars")
 
     def work_out(cubes: list[str]) -> Result:
-        if bars is not None:
-            return bars_from_cube(only(cubes, "a cube of the target"), axis, load_bars(bars), plane=known)
-        return edge_from_cube(only(cubes, "a cube of the edge"), axis, plane=known)
+        if usaf or bars is not None:
+            where = None if bars is None else load_bars(bars)
+            return bars_from_cube(only(cubes, "a cube of the target"), axis, where, plane=known)
+        return edge_from_cubes(cubes, axis, plane=known)
 
     return Work(
-        lambda hsi: hsi.resolution(given.output, axis=axis, plane=known, half_mm=half, exposure_s=time), work_out
+        lambda hsi: hsi.resolution(given.output, axis=axis, plane=known, half_mm=half, scans=scans, exposure_s=time),
+        work_out,
     )
