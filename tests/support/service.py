@@ -13,7 +13,7 @@ from typing import Any
 import httpx
 
 import scanhsi
-from scanhsi.clock import run_virtual
+from scanhsi.clock import run
 from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi.service.app import create_app
 from scanhsi.service.security import Security
@@ -81,14 +81,16 @@ def with_service(
     use: Callable[[Service], Coroutine[Any, Any, None]],
     config: InstrumentConfig | None = None,
     security: Security | None = None,
+    *,
+    virtual: bool = True,
 ) -> None:
-    """Use a service in virtual time."""
+    """Use a service in virtual time; where static files are read by threads that it does not know, in real time."""
 
     async def main() -> None:
         async with open_service(folder, config, security) as service:
             await use(service)
 
-    run_virtual(main())
+    run(main(), virtual=virtual)
 
 
 class Socket:

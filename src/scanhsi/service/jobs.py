@@ -8,10 +8,11 @@ from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass, field, is_dataclass
 from datetime import UTC, datetime
 from enum import StrEnum, unique
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, cast
 from uuid import uuid4
 
 from scanhsi.devices.errors import ScanFailed, ScanhsiError
+from scanhsi.engine import ScanControl
 from scanhsi.service.refusals import Conflict, NoSuch
 
 KEPT: Final = 100
@@ -35,18 +36,6 @@ class JobState(StrEnum):
 ENDED: Final = frozenset({JobState.DONE, JobState.STOPPED, JobState.FAILED, JobState.CANCELLED})
 
 
-class Pauses(Protocol):
-    """What a scan is paused by; see `scanhsi.engine`."""
-
-    def pause(self) -> None:
-        """Take no further line."""
-        ...
-
-    def resume(self) -> None:
-        """Go on."""
-        ...
-
-
 @dataclass(slots=True)
 class Job:
     """One job.
@@ -65,9 +54,8 @@ class Job:
         request: What was asked for.
         result: What came of it.
         error: What went wrong.
-        stop: Set to end it politely.
+        control: How a scan is paused, and ended politely; None for other jobs.
         confirmed: Set when a person has done what was asked.
-        pauses: How it is paused, if it can be.
         task: That runs it.
     """
 
@@ -84,9 +72,8 @@ class Job:
     progress: dict[str, Any] | None = None
     result: dict[str, Any] | None = None
     error: BaseException | None = None
-    stop: asyncio.Event = field(default_factory=asyncio.Event)
     confirmed: asyncio.Event = field(default_factory=asyncio.Event)
-    pauses: Pauses | None = None
+    control: ScanControl | None = None
     task: asyncio.Task[None] | None = None
 
     @property
@@ -137,7 +124,7 @@ class Jobs:
     async def _run(self, job: Job, work: Callable[[Job], Awaitable[dict[str, Any]]]) -> None:
         try:
             job.result = await work(job)
-            job.state = JobState.STOPPED if job.stop.is_set() else JobState.DONE
+            job.state = JobState.STOPPED if job.control is not None and job.control.stop.is_set() else JobState.DONE
         except asyncio.CancelledError:
             job.state = JobState.CANCELLED
         except ScanFailed as error:
@@ -183,9 +170,9 @@ class Jobs:
             Conflict: It is over, or cannot be paused.
         """
         job = self._under_way(id)
-        if job.pauses is None or job.state is not JobState.RUNNING:
+        if job.control is None or job.state is not JobState.RUNNING:
             raise Conflict(f"job {id}, a {job.kind} that is {job.state}, cannot be paused.")
-        job.pauses.pause()
+        job.control.pause()
         job.state = JobState.PAUSED
         self._changed(job)
         return job
@@ -197,19 +184,19 @@ class Jobs:
             Conflict: It is not paused.
         """
         job = self._under_way(id)
-        if job.pauses is None or job.state is not JobState.PAUSED:
+        if job.control is None or job.state is not JobState.PAUSED:
             raise Conflict(f"job {id} is {job.state}, not paused.")
         job.state = JobState.RUNNING
-        job.pauses.resume()
+        job.control.go_on()
         self._changed(job)
         return job
 
     def finish(self, id: str) -> Job:
         """End a job politely: the line under way is finished, the cube closed. One that knows no such end is cancelled."""
         job = self._under_way(id)
-        if job.kind != "scan":
+        if job.control is None:
             return self.cancel(id)
-        job.stop.set()
+        job.control.stop.set()
         if job.state is JobState.PAUSED:
             self.resume(id)
         return job

@@ -223,7 +223,7 @@ class JobModel(BaseModel):
             ended=job.ended,
             prompt=job.prompt,
             message=job.message,
-            can_pause=job.pauses is not None,
+            can_pause=job.control is not None,
             progress=job.progress,
             output=job.output,
             request=job.request,

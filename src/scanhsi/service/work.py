@@ -19,7 +19,7 @@ from scanhsi.cube.records import NOT_STAMPED, LineRecords
 from scanhsi.devices import PixelFormat
 from scanhsi.devices.errors import ConfigError
 from scanhsi.devices.frames import Pixels
-from scanhsi.engine import Mode, Progress, ScanPlan
+from scanhsi.engine import Mode, Progress, ScanControl, ScanPlan
 from scanhsi.service.jobs import Job, plain
 from scanhsi.service.station import Station
 from scanhsi.timing.observed import deliveries
@@ -71,7 +71,7 @@ def scan_job(
         raise ConfigError("the real-time options are wrong:", [str(error)]) from error
     path = None if discard else station.folder.new(output or f"{datetime.now():%Y%m%d-%H%M%S}.zarr", ".zarr")
     title = f"{plan.mode} scan of {plan.lines} lines" + ("" if path is None else f" into {path.name}")
-    job = Job("scan", title, None if path is None else path.name)
+    job = Job("scan", title, None if path is None else path.name, control=ScanControl())
     job.request = {"plan": plan.model_dump(mode="json"), "target": target}
     roi = course.settings.roi
     assert roi is not None, "Instrument.check fills the ROI in"
@@ -92,7 +92,7 @@ def scan_job(
                 plan,
                 path,
                 on_progress=watching.progress,
-                stop=job.stop,
+                control=job.control,
                 real_time=options,
                 target=target,
                 watch=watching.watch,
@@ -124,7 +124,7 @@ class _Watching:
         """A few times a second."""
         job = self._job
         job.progress = {**plain(progress), **(self._budget(progress.taken + progress.missing) or {})}
-        self._station.events.publish("progress", {"job": job.id, "state": str(job.state), **job.progress})
+        self._station.events.publish("progress", {"job": job.id, **job.progress})
 
     def _budget(self, reached: int) -> dict[str, Any] | None:
         """Where the time of the last lines went (figure 5): by stage, alone and hidden behind others."""
