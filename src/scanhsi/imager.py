@@ -25,7 +25,7 @@ from scanhsi.cube.destination import Destination
 from scanhsi.cube.places import destination_of
 from scanhsi.cube.slow import SlowSink
 from scanhsi.cube.watched import Watch, WatchedSink
-from scanhsi.devices import Actuator, Camera, CameraSettings, PixelFormat
+from scanhsi.devices import Actuator, Camera, CameraSettings, Light, PixelFormat
 from scanhsi.devices.errors import ConfigError, DeviceBusy
 from scanhsi.engine import Course, Mode, Progress, ScanControl, ScanPlan, ScanReport, run_scan
 from scanhsi.engine.resume import Begun, begun
@@ -200,6 +200,7 @@ class Imager:
                         on_progress=on_progress,
                         stop=stop,
                         control=control,
+                        light=self._light(target),
                     )
                     processed = None if processing is None else await processing.finish()
                 return replace(report, real_time=granted, processed=processed)
@@ -254,6 +255,7 @@ class Imager:
                     on_progress=on_progress,
                     control=control,
                     first=writer.next_line,
+                    light=self._light(before.attributes.get("target")),
                 )
                 return replace(report, real_time=granted)
 
@@ -300,7 +302,18 @@ class Imager:
         while True:
             with self._one_scan():
                 sink = _watched(DiscardSink(capacity=1), watch, course, period_s)  # one buffer: no frame is shown late
-                await run_scan(course, self.camera, self.actuator, sink, limits=self.instrument.actuator_info.limits)
+                await run_scan(
+                    course,
+                    self.camera,
+                    self.actuator,
+                    sink,
+                    limits=self.instrument.actuator_info.limits,
+                    light=self.instrument.light,
+                )
+
+    def _light(self, target: object) -> Light | None:
+        """What is switched on for a scan: a dark reference is taken without."""
+        return None if target == "dark" else self.instrument.light
 
     @contextmanager
     def _one_scan(self) -> Generator[None]:

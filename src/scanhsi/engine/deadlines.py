@@ -37,6 +37,7 @@ class Part(StrEnum):
     CAMERA = "camera"
     ACTUATOR = "actuator"
     STORAGE = "storage"
+    LIGHT = "light"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class Watch:
     """
 
     def __init__(self, names: Mapping[Part, str]) -> None:
-        self.names = names
+        self.names = dict(names)
         self._heard: dict[Part, tuple[str, int | None, int]] = {}
         self._blamed: dict[BaseException, Part] = {}
 

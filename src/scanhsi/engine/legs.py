@@ -22,9 +22,10 @@ from scanhsi.engine.control import (
     unless_halted,
 )
 from scanhsi.engine.deadlines import HOME_S, STOP_S, Part
+from scanhsi.engine.light import light_up, lights_off
 from scanhsi.engine.receive import receive_exposed, write_lines
 from scanhsi.engine.recovery import recover
-from scanhsi.engine.safety import make_safe
+from scanhsi.engine.safety import leave_safe, make_safe
 from scanhsi.engine.scan import CAMERA_BUFFERS, FLUSH, Scan
 from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
 
@@ -37,6 +38,7 @@ async def acquire(scan: Scan, take_leg: TakeLeg) -> None:
     Raises:
         BaseExceptionGroup: What ended the scan; lines that were received before are stored, unless storage is what failed.
     """
+    await light_up(scan)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(write_lines(scan), name="write")
         leading = tasks.create_task(_lead(scan, take_leg), name="lead")
@@ -57,8 +59,7 @@ async def _lead(scan: Scan, take_leg: TakeLeg) -> list[BaseException]:
                 raise BaseExceptionGroup("while being cancelled", failures) if failures else asyncio.CancelledError
         if failures:
             failures = await recover(scan, failures)
-    if failures:  # now, for the writer may take its time
-        await clean_up(make_safe(scan))
+    await clean_up(leave_safe(scan) if failures else lights_off(scan))  # now, for the writer may take its time
     scan.filled.put_nowait(None)
     return failures
 

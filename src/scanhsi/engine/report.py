@@ -23,7 +23,7 @@ class Progress:
         lines_per_second: Over the lines so far.
         efficiency: Exposure time / line period so far.
         remaining_s: Estimated time left.
-        state: ``scanning``, ``paused`` or ``recovering`` (a lost device).
+        state: ``scanning``, ``paused``, ``recovering`` (a lost device) or ``warming up`` (the light).
     """
 
     lines: int

@@ -26,6 +26,7 @@ from scanhsi.devices import (
     Camera,
     FreeRunning,
     HardwareTriggered,
+    Light,
     OverlapsReadout,
     Range,
     Trigger,
@@ -63,11 +64,13 @@ async def run_scan(
     stop: asyncio.Event | None = None,
     control: ScanControl | None = None,
     first: int = 0,
+    light: Light | None = None,
 ) -> ScanReport:
     """Scan, on connected devices.
 
     What is not allowed is refused before anything moves, with its own error. From the first motion on, whatever goes wrong is a
-    `ScanFailed`; however the scan ends, the mirror is told to stop, the camera is disarmed and the sink closed.
+    `ScanFailed`; however the scan ends, the mirror is told to stop, the camera is disarmed, the light switched off and the sink
+    closed.
 
     Args:
         course: What to take.
@@ -79,6 +82,7 @@ async def run_scan(
         stop: Set it to finish the line under way and close, before the first line at once; the report then says ``stopped_early``.
         control: Instead of ``stop``: pauses, too.
         first: First line to be taken; those before it are in the sink already.
+        light: Connected. Switched on before the first line, and off on every way out.
 
     Raises:
         OutOfRange, UnsupportedFeature, CubeExists, CubeError: Refused; nothing moved, nothing was overwritten.
@@ -90,6 +94,7 @@ async def run_scan(
         raise ValueError("give either stop or control")
     try:
         scan, take_leg = await _prepare(course, camera, actuator, sink, limits, on_progress, control, first)
+        _use_light(scan, light)
         await _open_sink(scan)
     except BaseException:
         await clean_up([_close_sink(sink)])  # one that goes on with a cube holds its lock already
@@ -137,6 +142,12 @@ async def _prepare(
     if course.look_ahead is not None:
         scan.latencies = Latencies(course.look_ahead)
     return scan, await _configure(scan)
+
+
+def _use_light(scan: Scan, light: Light | None) -> None:
+    if light is not None:
+        scan.light = light
+        scan.watch.names[Part.LIGHT] = light.info.name
 
 
 async def _open_sink(scan: Scan) -> None:

@@ -1,4 +1,4 @@
-"""What makes an instrument safe: the mirror still, the camera disarmed. Done between legs, and on every way out of a scan."""
+"""What makes an instrument safe: mirror still, camera disarmed, and on the way out of a scan light off."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from functools import partial
 
 from scanhsi.engine.cleanup import CleanupStep
 from scanhsi.engine.deadlines import STOP_S, Part
+from scanhsi.engine.light import lights_off
 from scanhsi.engine.scan import Scan
 
 
@@ -33,4 +34,4 @@ def make_safe(scan: Scan) -> list[CleanupStep]:
 
 def leave_safe(scan: Scan) -> list[CleanupStep]:
     """At the end: what stays on between two legs goes off, too."""
-    return make_safe(scan)
+    return [*make_safe(scan), *lights_off(scan)]

@@ -11,7 +11,7 @@ from typing import Literal
 from scanhsi.clock import now_ns
 from scanhsi.cube.records import Incident, LineRecords
 from scanhsi.cube.sink import LineSink
-from scanhsi.devices import Actuator, ActuatorInfo, Camera, CameraInfo, Range
+from scanhsi.devices import Actuator, ActuatorInfo, Camera, CameraInfo, Light, Range
 from scanhsi.engine.deadlines import Deadlines, Watch
 from scanhsi.engine.lookahead import Latencies
 from scanhsi.engine.plan import Course, OnFault, Recovery
@@ -157,6 +157,7 @@ class Scan:
             frame without one is dropped and counted.
         control: Somebody's wish to stop or to pause.
         faults: So far.
+        light: On from before the first line until no line is left; None where nothing can be switched.
         first: First line of this session; those before it were stored by an earlier one.
         on_progress: Told at most four times a second.
         latencies: Of the moves so far, with look-ahead.
@@ -187,6 +188,7 @@ class Scan:
     credits: Credits
     control: ScanControl
     faults: Faults
+    light: Light | None = None
     first: int = 0
     on_progress: Callable[[Progress], None] | None = None
     latencies: Latencies | None = None
