@@ -12,12 +12,13 @@ import pytest
 from scanhsi.cube.records import LineStatus
 from scanhsi.devices import CameraSettings, PixelFormat
 from scanhsi.devices.errors import DeviceLost, ScanFailed
-from scanhsi.engine import Course, Mode, control, run_scan
+from scanhsi.engine import Course, Mode, OnFault, Recovery, ScanControl, control, run_scan
 from scanhsi.engine.scan import Scan
 from support.bench import Bench, BenchActuator, BenchCamera, MemorySink
 from support.fuzz import Outcome, cancel_everywhere, run_with_cancel_before
 
 LINES = 4
+SKIP = Recovery()
 
 
 @dataclass
@@ -29,6 +30,8 @@ class Case:
     camera: Callable[[Bench], BenchCamera] = BenchCamera
     look_ahead: float | None = None
     latency_ms: tuple[float, ...] = (2.0,)
+    recovery: Recovery = SKIP
+    pause_ms: float | None = None
 
     def __post_init__(self) -> None:
         self.renew()
@@ -42,8 +45,13 @@ class Case:
     async def scan(self) -> None:
         steps = np.arange(LINES, dtype=np.int64)
         course = Course(self.mode, CameraSettings(0.02, 0.0, PixelFormat.MONO12), steps, steps * 0.1)
-        course = replace(course, look_ahead=self.look_ahead)
-        await run_scan(course, self.camera(self.bench), BenchActuator(self.bench), self.sink)
+        course = replace(course, look_ahead=self.look_ahead, recovery=self.recovery)
+        control = ScanControl()
+        if self.pause_ms is not None:
+            loop = asyncio.get_running_loop()
+            loop.call_later(self.pause_ms * 1e-3, control.pause)
+            loop.call_later(self.pause_ms * 1e-3 + 0.1, control.go_on)
+        await run_scan(course, self.camera(self.bench), BenchActuator(self.bench), self.sink, control=control)
 
     def main(self):
         self.renew()
@@ -148,6 +156,34 @@ def test_failure_and_cancellation_together(mode: Mode) -> None:
         case = Case(mode, fail_at=number)
         for outcome in cancel_everywhere(case.main):
             assert not case.violations(outcome), (number, outcome, case.violations(outcome))
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_whatever_fails_once_a_scan_that_retries_is_whole(mode: Mode) -> None:
+    healthy = Case(mode)
+    run_with_cancel_before(healthy.main, None)
+    for number in range(1, healthy.bench.operations):  # the first one is refused
+        case = Case(mode, fail_at=number, recovery=Recovery(OnFault.RETRY))
+        outcome = run_with_cancel_before(case.main, None)
+        assert outcome.error is None, number
+        assert case.sink.records.stored == LINES, number
+        assert not case.violations(outcome), (number, case.violations(outcome))
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_cancelled_in_the_middle_of_a_recovery(mode: Mode) -> None:
+    """Devices are half open then, and the mirror may be on its way home."""
+    for number in (4, 9) if mode is Mode.STEPPED else (9,):
+        case = Case(mode, fail_at=number, recovery=Recovery(OnFault.RETRY))
+        for outcome in cancel_everywhere(case.main, again_after=(None, 2)):
+            assert not case.violations(outcome), (number, outcome, case.violations(outcome))
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_cancelled_in_a_pause(mode: Mode) -> None:
+    case = Case(mode, pause_ms=45)
+    for outcome in cancel_everywhere(case.main, again_after=(None, 2)):
+        assert not case.violations(outcome), (outcome, case.violations(outcome))
 
 
 def test_the_fuzz_has_teeth(monkeypatch: pytest.MonkeyPatch) -> None:
