@@ -88,7 +88,7 @@ def _waves(scans: Sequence[NDArray[np.floating]]) -> tuple[Waves, float]:
         CalibrationError: None stands out.
     """
     values = np.stack([np.asarray(scan, np.float64) for scan in scans])
-    if values.ndim != 3 or values.shape[2] < _LEAST_SAMPLES or not np.isfinite(values).all():
+    if values.ndim != 3 or not values.size or values.shape[2] < _LEAST_SAMPLES or not np.isfinite(values).all():
         raise CalibrationError(
             f"a slanted target needs lines of {_LEAST_SAMPLES} samples at least, all known, not {values.shape[1:]}."
         )
@@ -98,7 +98,7 @@ def _waves(scans: Sequence[NDArray[np.floating]]) -> tuple[Waves, float]:
     for line in even.reshape(-1, values.shape[2]):  # one by one: padded, they are many times larger
         power += np.abs(np.fft.rfft(line, size))
     carrier = int(np.argmax(power[2 * _PADDING :])) + 2 * _PADDING
-    if power[carrier] < _STANDS_OUT * np.median(power):
+    if np.ptp(values) == 0 or power[carrier] < _STANDS_OUT * np.median(power):
         raise CalibrationError(
             "no pattern of lines stands out along the slit.", hint="is the target in focus, and slanted?"
         )
