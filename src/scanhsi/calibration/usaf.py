@@ -138,10 +138,11 @@ def place_target(picture: Floats, steps: Floats, plane: Geometry, layout: Sequen
     dark = np.pad(dark, margin)
     corner = corner[0] - margin * pitch, corner[1] + margin * pitch
     wide = [element for element in layout if element.bar_mm >= pitch]
-    tried = {float(turn): _match(dark, wide, float(turn), pitch) for turn in _TURNS_DEG}
+    seen = cast("Any", fft.rfft2(dark))
+    tried = {float(turn): _match(dark, seen, wide, float(turn), pitch) for turn in _TURNS_DEG}
     for finer in _FINER:
         best = max(tried, key=lambda turn: tried[turn][0])
-        tried |= {best + step: _match(dark, wide, best + step, pitch) for step in (-finer, finer)}
+        tried |= {best + step: _match(dark, seen, wide, best + step, pitch) for step in (-finer, finer)}
     turn = max(tried, key=lambda turn: tried[turn][0])
     correlation, row, column = tried[turn]
     if correlation < _ALIKE:
@@ -175,26 +176,36 @@ def _even(values: Floats, steps: Floats, plane: Geometry, pitch: float) -> tuple
     return np.clip(1 - there / max(white, 1e-9), 0, 1), (float(x[0]), float(y[0]))
 
 
-def _match(dark: Floats, layout: Sequence[Element], turn_deg: float, pitch: float) -> tuple[float, float, float]:
-    """Best correlation of the picture with the target turned so, and row and column of its centre, with fractions."""
+def _match(
+    dark: Floats, seen: Any, layout: Sequence[Element], turn_deg: float, pitch: float
+) -> tuple[float, float, float]:
+    """Best correlation of the picture with the target turned so, and row and column of its centre, with fractions.
+
+    ``seen`` is the picture's Fourier transform.
+    """
     drawing, there = _drawing(layout, turn_deg, pitch)
-    if any(drawn > seen for drawn, seen in zip(drawing.shape, dark.shape, strict=True)):
+    if any(drawn > here for drawn, here in zip(drawing.shape, dark.shape, strict=True)):
         drawing, there = _cut(drawing, dark.shape, there)
     shape = dark.shape
     even = drawing - drawing.mean()
     spectrum = np.conj(cast("Any", fft.rfft2(even, shape)))
-    product = cast("Floats", fft.irfft2(fft.rfft2(dark) * spectrum, shape))
-    box = np.conj(cast("Any", fft.rfft2(np.ones_like(drawing), shape)))
-    level, power = (cast("Floats", fft.irfft2(fft.rfft2(part) * box, shape)) for part in (dark, dark**2))
+    product = cast("Floats", fft.irfft2(seen * spectrum, shape))
+    level, power = (_sums(part, drawing.shape) for part in (dark, dark**2))
     spread = np.sqrt(np.maximum(power - level**2 / drawing.size, 1e-12 * drawing.size))
-    alike = product / (spread * math.sqrt(float(np.sum(even**2))))
-    inside = alike[: shape[0] - drawing.shape[0] + 1, : shape[1] - drawing.shape[1] + 1]
+    inside = product[: spread.shape[0], : spread.shape[1]] / (spread * math.sqrt(float(np.sum(even**2))))
     row, column = (int(place) for place in np.unravel_index(int(np.argmax(inside)), inside.shape))
     return (
         float(inside[row, column]),
         row + _top(inside[:, column], row) + there[0],
         column + _top(inside[row], column) + there[1],
     )
+
+
+def _sums(values: Floats, box: tuple[int, ...]) -> Floats:
+    """Sums over all boxes of a size that lie within."""
+    total = np.pad(values, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    rows = total[box[0] :] - total[: -box[0]]
+    return rows[:, box[1] :] - rows[:, : -box[1]]
 
 
 def _top(values: Floats, at: int) -> float:
