@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,52 +184,81 @@ def _fit(
     hot_sigma: float,
     linear_sigma: float,
 ) -> DarkModel:
-    means = np.stack([groups[exposure].mean for exposure in exposures])
-    counts = np.array([groups[exposure].count for exposure in exposures], float)
-    variances = _variances(groups, exposures, means)
-    weights = counts[:, None, None] / variances
-    time = exposures[:, None, None]
-    total, moment, second = (np.sum(weights * time**power, axis=0) for power in range(3))
-    level, slope = np.sum(weights * means, axis=0), np.sum(weights * time * means, axis=0)
-    determinant = total * second - moment**2
-    rate = (total * slope - moment * level) / determinant
-    offset = (second * level - moment * slope) / determinant
-    residuals = np.sum(weights * (means - rate * time - offset) ** 2, axis=0)
+    # Exposure by exposure, never all at once: full frames in float64 are 10 MB each.
+    parts = [groups[exposure] for exposure in exposures.tolist()]
+    law = _NoiseLaw.of(parts, exposures)
+    total, moment, second, level, slope = (np.zeros(saturated.shape) for _ in range(5))
+    for exposure, group in zip(exposures.tolist(), parts, strict=True):
+        weight = group.count / law.variance(group, exposure)
+        total += weight
+        level += weight * group.mean
+        weight *= exposure
+        moment += weight
+        slope += weight * group.mean
+        weight *= exposure
+        second += weight
+    determinant: Floats = total * second - moment**2
+    rate: Floats = (total * slope - moment * level) / determinant
+    offset: Floats = (second * level - moment * slope) / determinant
+    residuals = np.zeros(saturated.shape)
+    for exposure, group in zip(exposures.tolist(), parts, strict=True):
+        residuals += group.count / law.variance(group, exposure) * (group.mean - rate * exposure - offset) ** 2
     return DarkModel(
         rate=rate,
         offset=offset,
         rate_sigma=np.sqrt(total / determinant),
         offset_sigma=np.sqrt(second / determinant),
         covariance=-moment / determinant,
-        noise=np.sqrt(variances[0]),
-        hot=_stands_out(rate, hot_sigma) | _stands_out(means[-1], hot_sigma) | saturated,
+        noise=np.sqrt(law.variance(parts[0], float(exposures[0]))),
+        hot=_stands_out(rate, hot_sigma) | _stands_out(parts[-1].mean, hot_sigma) | saturated,
         nonlinear=_unlikely(residuals, len(exposures) - 2, linear_sigma),
         shortest_s=float(exposures[0]),
         longest_s=float(exposures[-1]),
-        frames=int(counts.sum()),
+        frames=sum(group.count for group in parts),
         provenance=provenance,
     )
 
 
-def _variances(groups: dict[float, _Group], exposures: Floats, means: Floats) -> Floats:
-    """Variance of a frame, (exposure, band, sample) counts^2: the law of all pixels, or more where a pixel shows more."""
-    own = np.stack([groups[exposure].squares / (groups[exposure].count - 1) for exposure in exposures])
-    time = exposures - exposures.mean()
-    rate = np.maximum(np.tensordot(time, means, 1) / np.sum(time**2), 0)  # unweighted: good enough to weigh with
-    dark = exposures[:, None, None] * rate
-    usual = rate <= np.quantile(rate, 0.99)
-    read, shot = _line(dark[:, usual], own[:, usual])
-    law = max(read, _QUANTISATION) + max(shot, 0.0) * dark
-    degrees = np.array([groups[exposure].count - 1 for exposure in exposures], float)[:, None, None]
-    return np.where(own * degrees > stats.chi2.isf(_NOISIER, degrees) * law, own, law)
+@dataclass(frozen=True, slots=True, eq=False)
+class _NoiseLaw:
+    """Variance of a frame in counts^2 as a law of all pixels: read noise, plus shot noise of the dark current.
 
+    Attributes:
+        read, shot: Of the law.
+        rate: Dark current of each pixel, roughly, (band, sample).
+    """
 
-def _line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Level at 0 and slope of y over x; a slope of 0 where x does not vary."""
-    deviation = x - x.mean()
-    spread = float(np.sum(deviation**2))
-    slope = float(np.sum(deviation * y)) / spread if spread else 0.0
-    return float(y.mean()) - slope * float(x.mean()), slope
+    read: float
+    shot: float
+    rate: Floats
+
+    @classmethod
+    def of(cls, groups: list[_Group], exposures: Floats) -> Self:
+        """The law through what the frames of all pixels but the hottest scatter: a straight line over the dark counts."""
+        time: Floats = exposures - exposures.mean()
+        rate: Floats = np.zeros(groups[0].mean.shape)  # unweighted: good enough to weigh with
+        for one, group in zip(time.tolist(), groups, strict=True):
+            rate += one * group.mean
+        rate = np.maximum(rate / np.sum(time**2), 0)
+        where = rate <= np.quantile(rate, 0.99)
+        usual = rate[where]
+        own: Floats = np.array([float(group.squares[where].mean()) / (group.count - 1) for group in groups])
+        mean, square = float(usual.mean()), float(np.mean(usual**2))
+        product = sum(
+            exposure * float(np.mean(usual * group.squares[where])) / (group.count - 1)
+            for exposure, group in zip(exposures.tolist(), groups, strict=True)
+        )
+        middle = float(exposures.mean()) * mean
+        spread = float(np.mean(exposures**2)) * square - middle**2
+        slope = (product / len(groups) - middle * float(own.mean())) / spread if spread > 0 else 0.0
+        return cls(max(float(own.mean()) - slope * middle, _QUANTISATION), max(slope, 0.0), rate)
+
+    def variance(self, group: _Group, exposure_s: float) -> Floats:
+        """Of a frame of an exposure: by the law, or more where a pixel clearly shows more, (band, sample)."""
+        degrees = group.count - 1
+        law = self.read + self.shot * exposure_s * self.rate
+        own = group.squares / degrees
+        return np.where(own * degrees > float(stats.chi2.isf(_NOISIER, degrees)) * law, own, law)
 
 
 def _unlikely(chi_square: Floats, degrees: int, sigma: float) -> NDArray[np.bool_]:
