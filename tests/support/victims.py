@@ -26,6 +26,7 @@ from scanhsi.cube.places import destination_of
 from scanhsi.cube.records import LineRecords
 from scanhsi.cube.writer import CubeWriter
 from support.cubes import feed
+from support.scans import scan_cube
 
 MISSING = {2: "lost", 9: "late", 10: "late"}
 """Lines that are lost in every scan here."""
@@ -46,6 +47,8 @@ class Job:
         flush_every: Lines after which a pause is made, as a scan that was interrupted does; never, if 0.
         spool: Folder that a cube at a URL is written through; none, if empty.
         fsync: Whether the disk is really asked to sync. Process death does not tell the difference, but it takes the time.
+        scan: Whether it is a whole scan with simulated devices, see `support.scans`, instead of a writer alone.
+        virtual: Whether that runs in virtual time.
     """
 
     path: str
@@ -56,6 +59,8 @@ class Job:
     flush_every: int = 0
     fsync: bool = False
     spool: str = ""
+    scan: bool = False
+    virtual: bool = False
 
     @property
     def spec(self) -> CubeSpec:
@@ -64,6 +69,9 @@ class Job:
 
 async def write(job: Job, tell: Any = lambda _: None) -> None:
     """Do a job; ``tell`` is called with every line that was said to be safe."""
+    if job.scan:
+        await scan_cube(Path(job.path), tell, lines=job.lines, resume=job.resume)
+        return
     records = LineRecords(job.lines)
     place = destination_of(job.path, spool=job.spool or None)
     if job.resume:
@@ -175,7 +183,7 @@ def victim(job: Job, gate: int, tell: int) -> None:
         os.fsync = os.fdatasync = lambda fd: None
     os.read(gate, 1)
     try:
-        clock.run(write(job, lambda line: os.write(tell, f"{line}\n".encode())))
+        clock.run(write(job, lambda line: os.write(tell, f"{line}\n".encode())), virtual=job.virtual)
     except Exception as error:
         os.write(tell, f"error {type(error).__name__}: {error}\n".encode())
     finally:
