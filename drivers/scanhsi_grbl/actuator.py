@@ -81,7 +81,7 @@ class GrblActuator:
         if self._link is not None and not self._link.lost.is_set():
             raise DeviceBusy("already connected.", device=self._name, operation="connect")
         await self._close_port()
-        options = self._options
+        options, first, before = self._options, self._info is None, self._position if self._homed else None
         self._transport, link = await open_port(options.port, options.baud, self._new_link, self._name)
         link.attach(self._transport)
         self._link, self._homing = link, False
@@ -91,8 +91,10 @@ class GrblActuator:
             self._use_origin(self._axis.home_step)
             report = await halt(link, self._stop_s(), homing=False)  # a motion that an earlier program left running
             self._position_lost = report.state == "Alarm"
-            self._homed = not self._axis.homing and not self._position_lost
             self._take_position(report)
+            # Without a switch its count is all there is, and that begins anew whenever the controller does.
+            still_counts = (first or before == self._position) and not self._position_lost
+            self._homed = still_counts and not self._axis.homing
         except BaseException:
             await self._close_port()
             raise
@@ -176,6 +178,7 @@ class GrblActuator:
             backlash_steps=options.backlash_steps,
             settle_s=options.settle_s,
             simulated=options.simulated,
+            finds_home=axis.homing,
         )
 
     # --- motion ---------------------------------------------------------------------------------------------------

@@ -22,6 +22,8 @@ GRBL = os.environ.get("SCANHSI_GRBL_ELF")
 
 @pytest.mark.twin
 class TestGrblDialect(ActuatorConformance):
+    travel = 12
+
     @pytest.fixture(autouse=True)
     def _on_the_bench(self) -> Iterator[None]:
         with bench_in_thread(StepperTwinSettings(speed=5, start_step=30, firmware=firmware_elf("grbl"))) as twin:

@@ -79,7 +79,7 @@ def test_backlash_is_taken_up_from_below() -> None:
 def test_stop_keeps_the_position() -> None:
     async def scenario(twin: StepperTwin, actuator: GrblActuator) -> None:
         moving = asyncio.ensure_future(actuator.move_to(9000))
-        await asyncio.sleep(0.3)
+        await asyncio.sleep(0.15)
         await actuator.stop()
         with pytest.raises(MotionFailed):
             await moving
@@ -87,13 +87,13 @@ def test_stop_keeps_the_position() -> None:
         await actuator.move_to(0)
         assert await mirror(twin) == 0
 
-    bench(scenario, speed=2.0)
+    bench(scenario, speed=5.0)
 
 
 def test_a_reset_in_mid_move_loses_the_position() -> None:
     async def scenario(twin: StepperTwin, actuator: GrblActuator) -> None:
         moving = asyncio.ensure_future(actuator.move_to(9000))
-        await asyncio.sleep(0.3)
+        await asyncio.sleep(0.15)
         await twin.command("reset")
         with pytest.raises(PositionLost):
             await moving
@@ -105,7 +105,7 @@ def test_a_reset_in_mid_move_loses_the_position() -> None:
         await actuator.move_to(50)
         assert await mirror(twin) == 50
 
-    bench(scenario, speed=2.0)
+    bench(scenario, speed=5.0)
 
 
 def test_stop_while_homing() -> None:
@@ -127,7 +127,7 @@ def test_stop_while_homing() -> None:
         await actuator.home()
         assert await mirror(twin) == 0
 
-    bench(scenario, homed=False, speed=2.0, start_step=5000)
+    bench(scenario, homed=False, speed=3.0, start_step=4000)
 
 
 def test_a_home_switch_that_is_not_found() -> None:
@@ -164,7 +164,7 @@ def test_unplugged_in_mid_move_and_plugged_in_again() -> None:
         await actuator.move_to(10)
         assert await mirror(twin) == 10
 
-    bench(scenario, speed=2.0)
+    bench(scenario, speed=5.0)
 
 
 def test_a_lost_answer_costs_a_timeout_and_no_position() -> None:
@@ -183,7 +183,7 @@ def test_garbled_lines_never_lie_about_the_position() -> None:
     async def scenario(twin: StepperTwin, actuator: GrblActuator) -> None:
         await twin.command("noise 30 10")  # per 10,000 bytes
         done = 0
-        for step in range(0, 400, 20):
+        for step in range(0, 240, 20):
             with suppress(DeviceError):
                 await actuator.move_to(step)
                 assert actuator.position == step == await mirror(twin)
@@ -222,3 +222,32 @@ def test_the_controllers_own_limits_hold_too() -> None:
         assert await mirror(twin) == 0
 
     bench(scenario)
+
+
+def test_without_a_switch_the_controllers_count_is_all_there_is() -> None:
+    async def scenario(twin: StepperTwin, actuator: GrblActuator) -> None:
+        link = actuator._connected("test")
+        for setting in ("$20=0", "$22=0"):
+            await link.send(setting)
+        await link.send("$X")
+        await actuator.close()
+        await actuator.connect()
+        assert not actuator.info.finds_home
+        await actuator.home()
+        await actuator.move_to(120)
+        await actuator.close()
+        await actuator.connect()  # the same controller, still counting
+        assert actuator.homed
+        assert actuator.position == 120
+        motion = await actuator.home()
+        assert motion.step == actuator.position == 0
+        assert (await twin.stats())["position"] == 30
+        await actuator.move_to(120)
+        await twin.command("reset")
+        with pytest.raises(PositionLost):
+            await actuator.move_to(0)
+        await actuator.close()
+        await actuator.connect()
+        assert not actuator.homed
+
+    bench(scenario, homed=False)
