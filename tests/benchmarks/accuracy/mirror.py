@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import math
+import tempfile
+from pathlib import Path
 
 import numpy as np
-from rows import Row, acquire, rms
+from rows import Row, acquire, region, rms
+
+from scanhsi.calibration.geometry import Geometry
+from scanhsi.calibration.result import Provenance
+from scanhsi.calibration.usaf import columns
+from scanhsi.characterise.bars_from_cube import bars_from_cube, find_bars
 
 FEW = {"roi.samples": 600, "roi.bands": 8, "roi.sample_offset": 724, "roi.band_offset": 480}
 EXPOSURE_S = 0.04
@@ -115,10 +122,75 @@ def transfer(seeds: int, axis: str, jitter_steps: float) -> list[Row]:
     ]
 
 
+def bars(seeds: int) -> list[Row]:
+    """Of a USAF target, found from its layout in each picture."""
+    settings = {**FEW, **EVEN, "roi.samples": 800, "roi.sample_offset": 624}
+    off, places, resolved = [], [], []
+    for seed in range(1, seeds + 1):
+
+        async def scanned(hsi):
+            with tempfile.TemporaryDirectory() as folder:
+                await hsi.camera.show("usaf")
+                cube = Path(folder) / "usaf.zarr"
+                await hsi.scan(hsi.default_plan(lines=300, step=1, start=-143, exposure_s=EXPOSURE_S), cube)
+                found = find_bars(cube)
+                return found, bars_from_cube(cube, "sample", found), bars_from_cube(cube, "line", found)
+
+        turned = {"camera.target.turn_deg": 0.7 * seed - 2, "camera.seed": seed, "actuator.seed": seed}
+        (found, slit, scan), true, config = acquire({**settings, **turned}, scanned)
+        middle = true.principal_sample - region(config)[1].start
+        turn = math.radians(true.target.turn_deg)
+        for seen, drawn in zip(found, columns(), strict=True):
+            x = math.cos(turn) * drawn.x_mm - math.sin(turn) * drawn.y_mm
+            places.append((np.mean(seen.samples) - middle) * true.geometry.pixel_mm - x)
+        wide = slit.bar_mm > 0.6
+        half = 1 / (2 * slit.bar_mm)
+        curve = np.exp(-2 * np.pi**2 * true.blur_mm**2 * half**2) * np.sinc(half * true.geometry.pixel_mm)
+        off += (slit.contrast - curve)[wide].tolist()
+        resolved.append((slit.resolved_mm, scan.resolved_mm))
+    slits, scans = np.array(resolved).T
+    name = f"USAF target, turned, found by itself, {seeds} seeds: "
+    return [
+        Row(f"{name}places along the slit, rms error", "", f"{rms(places):.3f} mm", rms(places) < 0.1),
+        Row(
+            f"{name}contrast along the slit, bars above 0.6 mm, rms error",
+            "analytic",
+            f"{rms(off):.3f}",
+            rms(off) < 0.05,
+        ),
+        Row(
+            f"{name}bar resolved along the slit (blur 0.08 mm, pixel 0.1 mm)",
+            "",
+            f"{slits.min():.2f} to {slits.max():.2f} mm",
+        ),
+        Row(f"{name}along the scan (slit 0.55 mm, jitter 0.2 mm)", "", f"{scans.min():.2f} to {scans.max():.2f} mm"),
+    ]
+
+
+def equations() -> list[Row]:
+    """What follows from the model alone, at the paper's distances."""
+    step = 2 * np.pi / 19_200
+    near, far = (Geometry(r, 0.0, step, 0.155, 599.5, Provenance()) for r in (225.0, 348.73))
+    steps = np.linspace(-2000, 2000, 1001)
+    turn = float(np.abs(near.y_mm(near.step_of(near.y_mm(steps))) - near.y_mm(steps)).max())
+    reach, limits = far.linear_range(), near.linear_range()
+    found = [
+        ("pitch straight ahead, eqs. 8, 11", "0.2282 mm", float(far.line_pitch_mm(0.0)), 0.2282, 5e-5),
+        ("linear range at 225 mm", "93.20 mm", limits.y_mm, 93.20, 5e-3),
+        ("linear range at 348.73 mm", "144.45 mm", reach.y_mm, 144.45, 5e-3),
+        ("spacing error there, eq. 12", "7.50 mm", reach.spacing_error_mm, 7.50, 5e-3),
+        ("spacing error at 225 mm", "4.84 mm", limits.spacing_error_mm, 4.84, 5e-3),
+        ("defocus there over the distance, eq. 6", "0.08239", reach.defocus_mm / far.distance_mm, 0.08239, 5e-6),
+        ("half of the linear range", "600 steps", reach.steps, 600.0, 1e-6),
+    ]
+    rows = [Row(name, asked, f"{value:.5g}", abs(value - real) <= limit) for name, asked, value, real, limit in found]
+    return [*rows, Row("step to place and back, largest", "1e-9 mm", f"{turn:.1e} mm", turn < 1e-9)]
+
+
 def rows(seeds: int) -> list[Row]:
     found = distance(seeds, EVEN, "jitter of 0.2 mm")
     found += distance(seeds, {}, "jitter of 0.2 mm, shaft out of true by 0.35 mm")
-    found += [*jitter(seeds), *backlash(seeds)]
+    found += [*equations(), *jitter(seeds), *backlash(seeds), *bars(max(2, seeds // 4))]
     for axis in ("sample", "line"):
         for jitter_steps in (0.0, 0.876):
             found += transfer(seeds if jitter_steps else max(2, seeds // 4), axis, jitter_steps)

@@ -24,6 +24,12 @@ def dark(instrument: str, seed: int) -> list[Row]:
         share = float(np.mean(np.abs(fitted - real)[straight] <= 3 * sigma[straight]))
         least = 0.9973 - 3 * np.sqrt(0.9973 * 0.0027 / straight.sum())
         rows.append(Row(f"{name}{what} within 3 sigma", "99.7 % of pixels", f"{100 * share:.2f} %", share >= least))
+    for what, sigma, asked in (
+        ("a", model.rate_sigma, "1.94 e-/s"),
+        ("b", model.offset_sigma, "1.51 e-"),
+        ("dark at 200 ms", model.sigma_at(0.2), "1.31 e-"),
+    ):
+        rows.append(Row(f"{name}standard error of {what}, 20 frames", asked, f"{np.median(sigma) / gain:.2f}"))
     found, false = int(model.hot[hot].sum()), float(model.hot[~hot].mean())
     rows.append(
         Row(f"{name}hot pixels found", "all", f"{found} of {int(hot.sum())}", found == int(hot.sum())),
