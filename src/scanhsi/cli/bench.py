@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from scanhsi.cli.bench_processing import processing
 from scanhsi.cli.bench_storage import storage
 from scanhsi.cli.bench_tables import curve_table, engine_tables, lost_lines
 from scanhsi.cli.output import messages, results, write_json
@@ -37,6 +38,7 @@ def register(app: typer.Typer) -> None:
     bench.command()(draw)
     bench.command()(engine)
     bench.command()(storage)
+    bench.command()(processing)
     app.add_typer(bench, name="bench")
 
 

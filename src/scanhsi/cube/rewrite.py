@@ -36,7 +36,7 @@ Compute = Callable[[NDArray[Any]], NDArray[Any]]
 _KEPT: Final = ("clock_offset_ns", "acquisition", "missing", "incidents", "binning", "resumed")
 """What the files of a cube say besides the attributes of a `CubeSpec`, and a cube made of it says again."""
 
-_LINES_AT_ONCE: Final = 4
+_LINES_AT_ONCE: Final = 8
 
 _OF_A_SESSION: Final = frozenset({"run", "versions", "devices", "real_time", "incidents"})
 """Attributes of a source that may change while it grows, or when it is resumed."""
@@ -265,15 +265,13 @@ class ShardTask:
         """Make the shard that begins with line ``first``, if it is not there; returns what was seen of the source there."""
         job = self._rewriting
         lines = slice(first, min(first + job.layout.lines_per_shard, job.spec.lines))
-        pixels = np.asarray(job.source["cube"].isel(line=lines).values)
         lost = self._status[lines] == LineStatus.MISSING
-        seen = None if job.inspect is None else job.inspect(pixels[:, ~lost] if lost.any() else pixels)
-        if job.inspect is not None and job.is_there(first):
-            return seen
         buffer = self._buffer()
         try:
             rows = buffer.rows[: lines.stop - first]
-            self._make(pixels, rows)
+            there, seen = self._make(lines, lost, rows)
+            if there:
+                return seen
             self._files.write_pixels(ShardPixels(first, buffer, lost))
             if job.check:
                 self._compare(lines, rows, lost)
@@ -283,13 +281,23 @@ class ShardTask:
         self._files.write_records(ShardRecords(first, columns, self._status[lines]))
         return seen
 
-    def _make(self, pixels: NDArray[Any], rows: NDArray[Any]) -> None:
-        """Compute some lines at a time into (line, band, sample): what comes out is in memory once."""
+    def _make(self, lines: slice, lost: NDArray[np.bool_], rows: NDArray[Any]) -> tuple[bool, Any]:
+        """Read lines, look at them, and unless they are made compute some at a time into (line, band, sample).
+
+        What comes out is in memory once, and what went in no longer when this returns whether they are made, and what was seen.
+        """
         job = self._rewriting
+        pixels = np.asarray(job.source["cube"].isel(line=lines).values)
+        seen: Any = None
+        if job.inspect is not None:
+            seen = job.inspect(pixels[:, ~lost] if lost.any() else pixels)
+            if job.is_there(lines.start):
+                return True, seen
         for first in range(0, len(rows), _LINES_AT_ONCE):
             some = slice(first, first + _LINES_AT_ONCE)
             made = pixels[:, some] if job.compute is None else job.compute(pixels[:, some])
             rows[some] = made.transpose(1, 0, 2)
+        return False, seen
 
     def _buffer(self) -> ShardBuffer:
         try:

@@ -132,8 +132,8 @@ class _Chosen:
 class AlongBands(Protocol):
     """A function of lines that may be a sum along the bands."""
 
-    def banded(self, bands: int, samples: int) -> Banded | None:
-        """Of lines of so many bands and samples; None if it is no such sum."""
+    def banded(self, bands: int, samples: slice) -> Banded | None:
+        """Of lines of so many bands, for some samples, from one to one; None if it is no such sum."""
         ...
 
 

@@ -45,10 +45,11 @@ class Subtracted:
         """Some lines."""
         return np.subtract(lines, self.dark[:, None, :], dtype=_FLOAT)
 
-    def banded(self, bands: int, samples: int) -> Banded:
+    def banded(self, bands: int, samples: slice) -> Banded:
         """As a sum along the bands."""
-        del bands, samples
-        return Banded.scaled(np.ones_like(self.dark), self.dark)
+        del bands
+        dark = self.dark[:, samples]
+        return Banded.scaled(np.ones_like(dark), dark)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,10 +62,11 @@ class Scaled:
         """Some lines."""
         return np.multiply(lines, self.factor[:, None, :], dtype=_FLOAT)
 
-    def banded(self, bands: int, samples: int) -> Banded:
+    def banded(self, bands: int, samples: slice) -> Banded:
         """As a sum along the bands."""
-        del bands, samples
-        return Banded.scaled(self.factor, np.zeros_like(self.factor))
+        del bands
+        factor = self.factor[:, samples]
+        return Banded.scaled(factor, np.zeros_like(factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +79,9 @@ class Means:
         """Some lines."""
         return means(self.rows, lines)
 
-    def banded(self, bands: int, samples: int) -> Banded:
+    def banded(self, bands: int, samples: slice) -> Banded:
         """As a sum along the bands."""
-        return Banded.means(self.rows, bands, samples)
+        return Banded.means(self.rows, bands, samples.stop - samples.start)
 
 
 def same(lines: Values) -> Values:

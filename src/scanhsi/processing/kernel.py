@@ -8,7 +8,7 @@ whichever lines go with it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -29,7 +29,7 @@ class _Part:
 
     Attributes:
         samples: Which.
-        first: Row of the block's buffer where the first channel's sum begins.
+        first: Band where the sum of the block's first channel begins; may lie before the first one.
         weight: (tap, channel, sample) float32.
         takes: (tap, channel, sample) uint8, 1 where a tap is taken in.
     """
@@ -46,6 +46,7 @@ class _Block:
 
     Attributes:
         channels: Which.
+        start: Band of the buffer's first row.
         rows: Rows of the buffer that they need.
         source: Bands that are put there, and where.
         place: Rows of the buffer that get them; the others stay zero.
@@ -54,6 +55,7 @@ class _Block:
     """
 
     channels: slice
+    start: int
     rows: int
     source: slice
     place: slice
@@ -67,20 +69,27 @@ class Kernel:
     Made once, used on any number of lines and from any thread.
     """
 
-    def __init__(self, banded: Banded, level: float = np.inf) -> None:
+    def __init__(self, sums: Iterable[tuple[slice, Banded]], level: float = np.inf) -> None:
         """Gather the weights.
 
         Args:
-            banded: What is computed.
+            sums: What is computed, some samples after the other: which, and of these.
             level: Numbers from here on are not known.
         """
-        channels = banded.shape[0]
-        self._shape = banded.shape
         self._level = level
-        self._step = max(1, round(float(np.median(np.diff(banded.first, axis=0))))) if channels > 1 else 1
-        at_once = max(1, _BLOCK_ROWS // self._step)
-        blocks = (slice(start, min(start + at_once, channels)) for start in range(0, channels, at_once))
-        self._blocks = [_block(banded, block, self._step) for block in blocks]
+        pieces = list[tuple[slice, NDArray[np.float32], list[list[_Part]]]]()
+        self._step, self._channels, bands = 1, list[slice](), 0
+        for samples, banded in sums:
+            if not pieces:
+                bands, self._step, self._channels = banded.bands, _step(banded), list(_cut(banded))
+            parts = [list(_parts(banded, channels, self._step, samples.start)) for channels in self._channels]
+            pieces.append((samples, banded.offset.astype(np.float32), parts))
+        offset = np.concatenate([piece for _, piece, _ in pieces], axis=1)
+        self._shape = offset.shape
+        self._blocks = [
+            _block(channels, bands, self._step, [part for _, _, parts in pieces for part in parts[index]], offset)
+            for index, channels in enumerate(self._channels)
+        ]
 
     def __call__(self, lines: NDArray[Any]) -> NDArray[np.float32]:
         """Compute some lines: (band, line, sample) -> (channel, line, sample) float32."""
@@ -91,11 +100,12 @@ class Kernel:
         )
         for block in self._blocks:
             buffer = np.zeros((block.rows, samples), np.float32)
+            taps = self._taps(buffer, block)
             for line in range(count):
                 bad = unknown[line]
                 _fill(buffer, block, lines[block.source, line], None if bad is None else bad[block.source])
                 made = out[line, block.channels]
-                self._sum(buffer, block, [part.weight for part in block.parts], made)
+                _sum(taps, [part.weight for part in block.parts], block, made)
                 made -= block.offset
                 if bad is not None and (there := bad[block.source]).any():
                     made[self._taken_in(block, there)] = np.nan
@@ -117,15 +127,26 @@ class Kernel:
         buffer = np.zeros((block.rows, self._shape[1]), np.uint8)
         buffer[block.place] = unknown
         taken = np.empty(block.offset.shape, np.uint8)
-        self._sum(buffer, block, [part.takes for part in block.parts], taken)
+        _sum(self._taps(buffer, block), [part.takes for part in block.parts], block, taken)
         return taken > 0
 
-    def _sum(self, buffer: NDArray[Any], block: _Block, weights: list[NDArray[Any]], out: NDArray[Any]) -> None:
+    def _taps(self, buffer: NDArray[Any], block: _Block) -> list[NDArray[Any]]:
+        """What each part of a block takes in, (tap, channel, sample) views of the buffer."""
         down, right = buffer.strides
-        for part, weight in zip(block.parts, weights, strict=True):
-            begin = buffer[part.first :, part.samples]
-            taps = as_strided(begin, weight.shape, (down, self._step * down, right), writeable=False)
-            np.einsum("kcs,kcs->cs", taps, weight, out=out[:, part.samples])
+        return [
+            as_strided(
+                buffer[part.first - block.start :, part.samples],
+                part.weight.shape,
+                (down, self._step * down, right),
+                writeable=False,
+            )
+            for part in block.parts
+        ]
+
+
+def _sum(taps: list[NDArray[Any]], weights: list[NDArray[Any]], block: _Block, out: NDArray[Any]) -> None:
+    for part, taken, weight in zip(block.parts, taps, weights, strict=True):
+        np.einsum("kcs,kcs->cs", taken, weight, out=out[:, part.samples])
 
 
 def _fill(buffer: NDArray[np.float32], block: _Block, rows: NDArray[Any], unknown: NDArray[np.bool_] | None) -> None:
@@ -135,20 +156,35 @@ def _fill(buffer: NDArray[np.float32], block: _Block, rows: NDArray[Any], unknow
         there[unknown] = 0  # nan times no weight would be nan
 
 
-def _block(banded: Banded, channels: slice, step: int) -> _Block:
+def _step(banded: Banded) -> int:
+    """Bands from one channel's sum to the next, about."""
+    return max(1, round(float(np.median(np.diff(banded.first, axis=0))))) if len(banded.first) > 1 else 1
+
+
+def _cut(banded: Banded) -> Iterator[slice]:
+    """Channels of each block."""
+    at_once = max(1, _BLOCK_ROWS // _step(banded))
+    channels = len(banded.first)
+    yield from (slice(start, min(start + at_once, channels)) for start in range(0, channels, at_once))
+
+
+def _block(channels: slice, bands: int, step: int, parts: Sequence[_Part], offset: NDArray[np.float32]) -> _Block:
+    start = min(part.first for part in parts)
+    stop = max(part.first + len(part.weight) for part in parts) + step * (channels.stop - channels.start - 1)
+    source = slice(*np.clip((start, stop), 0, bands).tolist())
+    there = slice(source.start - start, source.stop - start)
+    return _Block(channels, start, stop - start, source, there, tuple(parts), np.ascontiguousarray(offset[channels]))
+
+
+def _parts(banded: Banded, channels: slice, step: int, first_sample: int) -> Iterator[_Part]:
     ahead: NDArray[np.intp] = step * np.arange(channels.stop - channels.start, dtype=np.intp)[:, None]
     begins, takes = banded.first[channels] - ahead, banded.takes[:, channels]
     place: NDArray[np.intp] = begins + np.arange(len(takes), dtype=np.intp)[:, None, None]
     low, high = place.min(axis=(0, 1), where=takes, initial=_FAR), place.max(axis=(0, 1), where=takes, initial=-_FAR)
     nothing = low > high
     low[nothing] = high[nothing] = begins[0, nothing]
-    runs = list(_runs(low, high))
-    start = min(begin for _, begin, _ in runs)
-    stop = max(end for _, _, end in runs) + 1 + int(ahead[-1, 0])
-    source = slice(*np.clip((start, stop), 0, banded.bands).tolist())
-    parts = tuple(_part(banded, channels, begins, start, run) for run in runs)
-    there = slice(source.start - start, source.stop - start)
-    return _Block(channels, stop - start, source, there, parts, banded.offset[channels].astype(np.float32))
+    for run in _runs(low, high):
+        yield _part(banded, channels, begins, first_sample, run)
 
 
 def _runs(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[tuple[slice, int, int]]:
@@ -166,7 +202,9 @@ def _runs(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[tuple[slice
     yield slice(first, len(low)), begin, end
 
 
-def _part(banded: Banded, channels: slice, begins: NDArray[np.intp], start: int, run: tuple[slice, int, int]) -> _Part:
+def _part(
+    banded: Banded, channels: slice, begins: NDArray[np.intp], first_sample: int, run: tuple[slice, int, int]
+) -> _Part:
     """Weights of a run of samples, moved to where its window begins."""
     samples, begin, end = run
     shape = (end + 1 - begin, len(begins), samples.stop - samples.start)
@@ -176,4 +214,4 @@ def _part(banded: Banded, channels: slice, begins: NDArray[np.intp], start: int,
         at = (begins[:, samples] + tap - begin)[taken]
         weight[at, *taken] = banded.weight[tap, channels, samples][taken]
         takes[at, *taken] = 1
-    return _Part(samples, begin - start, weight, takes)
+    return _Part(slice(first_sample + samples.start, first_sample + samples.stop), begin, weight, takes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from scanhsi.processing.kernel import Kernel
 from scanhsi.processing.signal import Signal
 from scanhsi.processing.steps import Step
 
+_SAMPLES_AT_ONCE: Final = 320
 _BLOCK_BYTES: Final = 8_000_000  # raw: some lines at a time, so that what the steps pass on stays in the cache
 
 
@@ -26,6 +27,7 @@ class Pipeline:
         input: What goes in.
         steps: In order.
         output: What comes out.
+        bound: What each step takes, and its function.
 
     Raises:
         CalibrationError: A step does not fit what it gets.
@@ -34,7 +36,7 @@ class Pipeline:
     input: Signal
     steps: Sequence[Step]
     output: Signal = field(init=False)
-    _bound: list[tuple[Signal, Bound]] = field(init=False, repr=False)
+    bound: list[tuple[Signal, Bound]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         signal, bound = self.input, list[tuple[Signal, Bound]]()
@@ -43,12 +45,12 @@ class Pipeline:
             signal, function = step.bind(taken)
             bound.append((taken, function))
         object.__setattr__(self, "output", signal)
-        object.__setattr__(self, "_bound", bound)
+        object.__setattr__(self, "bound", bound)
 
     @functools.cached_property
     def functions(self) -> list[Bound]:
         """What is computed, in order: fewer than steps where several became one. Worked out when first used."""
-        return fused(self._bound)
+        return fused(self.bound)
 
     def __call__(self, lines: Values) -> Values:
         """Process some whole lines.
@@ -90,30 +92,43 @@ def fused(bound: Sequence[tuple[Signal, Bound]]) -> list[Bound]:
             continue
         if isinstance(function, Masked):
             made += run.end()
-            run = _Run(function)
-            continue
-        sums = _sums(function, signal)
-        if sums is not None:
-            run.banded = sums if run.banded is None else sums.after(run.banded)
+            run = _Run(mask=function)
+        elif (sums := _sums(function, signal)) is not None:
+            run.sums.append((signal, sums))
         else:
             made += [*run.end(), function]
             run = _Run()
     return [*made, *run.end()]
 
 
+def _sums(function: Bound, signal: Signal) -> AlongBands | None:
+    if isinstance(function, AlongBands) and function.banded(signal.bands, slice(0, 1)) is not None:
+        return function
+    return None
+
+
 @dataclass
 class _Run:
-    """Functions that become one: first perhaps a mask, then sums."""
+    """Functions that become one: first perhaps a mask, then sums, each with what it takes."""
 
     mask: Masked | None = None
-    banded: Banded | None = None
+    sums: list[tuple[Signal, AlongBands]] = field(default_factory=list[tuple[Signal, AlongBands]])
 
     def end(self) -> list[Bound]:
         """What they come to."""
-        if self.banded is not None:
-            return [Kernel(self.banded, self.mask.level if self.mask else np.inf)]
+        if self.sums:
+            return [Kernel(self._together(), self.mask.level if self.mask else np.inf)]
         return [self.mask] if self.mask else []
 
-
-def _sums(function: Bound, signal: Signal) -> Banded | None:
-    return function.banded(signal.bands, signal.samples) if isinstance(function, AlongBands) else None
+    def _together(self) -> Iterator[tuple[slice, Banded]]:
+        """The sums as one, for some samples after the other: in float64 they take much memory."""
+        samples = self.sums[0][0].samples
+        for first in range(0, samples, _SAMPLES_AT_ONCE):
+            some = slice(first, min(first + _SAMPLES_AT_ONCE, samples))
+            whole: Banded | None = None
+            for signal, function in self.sums:
+                one = function.banded(signal.bands, some)
+                assert one is not None, "asked before"
+                whole = one if whole is None else one.after(whole)
+            assert whole is not None, "there is one"
+            yield some, whole

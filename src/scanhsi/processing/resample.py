@@ -37,7 +37,7 @@ class Mover:
     """Moves lines; made once, used on any number of lines and from any thread."""
 
     def __init__(self, shift: Floats, axis: Axis, *, kind: Kind = "cubic", conserve: bool = False) -> None:
-        """Work out the weights.
+        """Keep what the weights are worked out from, when they are needed.
 
         Args:
             shift: (band, sample): a pixel of the result is taken from so many pixels further on along the axis.
@@ -45,34 +45,41 @@ class Mover:
             kind: Of interpolation.
             conserve: Keep the sum along the axis (counts) instead of the values (reflectances).
         """
-        along = 0 if axis == "band" else 1
-        size = shift.shape[along]
-        own: NDArray[np.intp] = np.arange(size, dtype=np.intp)
-        self._own = own[:, None] if axis == "band" else own[None, :]
-        place = shift + self._own
+        self._along = 0 if axis == "band" else 1
+        self._shift, self._kind, self._conserve = shift, kind, conserve
+
+    @functools.cached_property
+    def _outside(self) -> NDArray[np.bool_]:
+        return self._places(self._shift)[2]
+
+    @functools.cached_property
+    def _taps(self) -> list[_Tap]:
+        base, weights, _ = self._places(self._shift)
+        return list(_taps(base - self._own(base), weights))
+
+    def _own(self, frame: NDArray[Any]) -> NDArray[np.intp]:
+        own = np.arange(frame.shape[self._along], dtype=np.intp)
+        return own[None, :] if self._along else own[:, None]
+
+    def _places(self, shift: Floats) -> tuple[NDArray[np.intp], list[Floats], NDArray[np.bool_]]:
+        """Where each pixel is taken from: pixel before, weights of the four around, and whether that is beyond the sensor."""
+        size = shift.shape[self._along]
+        place = shift + self._own(shift)
         inside = (place >= -_NEGLIGIBLE) & (place <= size - 1 + _NEGLIGIBLE)
         base = np.clip(np.floor(place), 0, size - 2).astype(np.intp)
         share = np.clip(place - base, 0, 1)
         share[share < _NEGLIGIBLE] = 0
-        scale = 1 + np.gradient(shift, axis=along) if conserve else np.ones_like(shift)
-        edge = (base == 0) | (base == size - 2) if kind == "cubic" else np.ones(base.shape, bool)
-        self._along = along
-        self._outside = ~inside
-        self._base = base
-        self._weights = [weight * np.where(inside, scale, 0.0) for weight in _weights(share, edge)]
+        scale = 1 + np.gradient(shift, axis=self._along) if self._conserve else np.ones_like(shift)
+        edge = (base == 0) | (base == size - 2) if self._kind == "cubic" else np.ones(base.shape, bool)
+        return base, [weight * np.where(inside, scale, 0.0) for weight in _weights(share, edge)], ~inside
 
-    @functools.cached_property
-    def _taps(self) -> list[_Tap]:
-        return list(_taps(self._base - self._own, self._weights))
-
-    def banded(self, bands: int, samples: int) -> Banded | None:
+    def banded(self, bands: int, samples: slice) -> Banded | None:
         """As a sum along the bands; None if it moves along the samples."""
-        del samples
         if self._along:
             return None
-        weight = np.stack(self._weights)
-        offset = np.where(self._outside, np.nan, 0.0)
-        return Banded(bands, self._base - 1, weight, weight != 0, offset)
+        base, weights, outside = self._places(self._shift[:, samples])
+        weight = np.stack(weights)
+        return Banded(bands, base - 1, weight, weight != 0, np.where(outside, np.nan, 0.0))
 
     def __call__(self, lines: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Move some lines, (band, line, sample); nan where a neighbour is not known, and beyond the sensor."""
