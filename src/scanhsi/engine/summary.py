@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from scanhsi.cube.records import NOT_STAMPED
@@ -54,12 +56,12 @@ def report(scan: Scan, ended_ns: int) -> ScanReport:
 
 
 def _period_s(legs: list[Stamps], duration_s: float) -> float:
-    """Mean distance of lines delivered in one leg; what a single line took; nan where none came."""
+    """Mean distance of lines delivered in one leg; what a single line took; nan where none came, or all at the same moment."""
     arrived = [deliveries(stamps) for stamps in legs]
     distances = sum(len(times) - 1 for times in arrived if len(times))
     if distances:
-        return sum(int(times[-1] - times[0]) for times in arrived if len(times)) * 1e-9 / distances
-    return duration_s if any(len(times) for times in arrived) else float("nan")
+        return sum(int(times[-1] - times[0]) for times in arrived if len(times)) * 1e-9 / distances or math.nan
+    return duration_s or math.nan if any(len(times) for times in arrived) else math.nan
 
 
 def _reached(scan: Scan, stamps: Stamps) -> Bound | None:
