@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import scanhsi
+from scanhsi.calibration.applies import Limits
 from scanhsi.calibration.dark import DarkModel
 from scanhsi.calibration.result import load
 from scanhsi.calibration.white import WhiteReference
-from scanhsi.clock import run_virtual
+from scanhsi.clock import now_ns, run_virtual
 from scanhsi.devices.errors import CalibrationError, CubeExists
 from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi_sim.sensor import DARK_E_PER_S, FULL_WELL_E, OFFSET_E
@@ -84,6 +87,23 @@ def test_a_dark_model_of_another_gain_is_refused() -> None:
 
     with pytest.raises(CalibrationError, match=r"dark model does not apply: gain_db 0.0 instead of 6.0"):
         run_virtual(main())
+
+
+def test_a_dark_model_that_is_too_old_is_refused_before_anything_moves() -> None:
+    async def main() -> WhiteReference:
+        async with scanhsi.open_instrument(small()) as hsi:
+            dark = await hsi.calibrate.dark(exposures_s=[0.01, 0.2], frames=3)
+            taken = datetime.fromisoformat(dark.provenance.taken or "") - timedelta(days=45)
+            old = replace(dark, provenance=replace(dark.provenance, taken=taken.isoformat()))
+            began_ns = now_ns()
+            with pytest.raises(
+                CalibrationError, match="dark model does not apply: it is 45 d older than .*, 30 d at most"
+            ):
+                await hsi.calibrate.white(dark=old, exposure_s=0.02, frames=3)
+            assert now_ns() == began_ns
+            return await hsi.calibrate.within(Limits(timedelta.max)).white(dark=old, exposure_s=0.02, frames=3)
+
+    assert run_virtual(main()).lines == 3
 
 
 def test_the_camera_looks_at_its_own_scene_again_afterwards() -> None:

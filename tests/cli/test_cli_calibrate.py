@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from scanhsi.calibration import figures
+from scanhsi.calibration.kinds import KINDS
+from scanhsi.cli.calibrations import KINDS as COMMANDS
+from scanhsi.cli.quantities import limits_of
 from scanhsi.cube.reader import open_cube
 from support.command_line import Cli
 
@@ -89,6 +94,39 @@ def test_a_cube_is_no_dark_model(cli: Cli, config: Path, tmp_path: Path) -> None
     result = cli("calibrate", "white", config, "--dark", tmp_path / "not.nc", "-o", str(tmp_path / "w.nc"), "--virtual")
     assert result.code == 4
     assert "no NetCDF-4 file" in result.err
+
+
+@pytest.mark.parametrize(
+    ("text", "age"),
+    [("90 min", timedelta(minutes=90)), ("12h", timedelta(hours=12)), ("any", timedelta.max), (None, None)],
+)
+def test_ages(text: str | None, age: timedelta | None) -> None:
+    assert limits_of(text, 5.0).max_age == age
+
+
+def test_a_dark_model_that_is_older_than_asked_for_is_refused_with_cubes_that_exist(
+    cli: Cli, config: Path, tmp_path: Path
+) -> None:
+    dark, white, again = (str(tmp_path / name) for name in ("dark.nc", "white.nc", "again.nc"))
+    exposures = ["--exposures", "10 ms, 60 ms", "--frames", "3", "--no-figure"]
+    assert cli("calibrate", "dark", config, "-o", dark, "--virtual", *exposures).code == 0
+    some = ["--exposure", "20 ms", "--frames", "3", "--no-figure", "--dark", dark]
+    assert cli("calibrate", "white", config, "-o", white, "--virtual", *some).code == 0
+    words = ["calibrate", "white", "--from", str(tmp_path / "white-cubes" / "white.zarr"), "--dark", dark, "-o", again]
+    refused = cli(*words, "--max-age", "0 min")
+    assert refused.code == 4
+    assert f"the dark model {dark} does not apply" in refused.err
+    assert "--max-age '1 d' to use it all the same" in refused.err
+    assert cli(*words, "--no-figure").code == 0
+    wrong = cli(*words, "--max-age", "3 moons")
+    assert wrong.code == 2
+    assert "min, h, d" in wrong.err
+
+
+def test_every_kind_has_its_command_and_its_figure(cli: Cli) -> None:
+    told = cli("calibrate", "--help").out
+    assert all(kind.__name__.replace("_", "-") in told for kind in COMMANDS)
+    assert not set(KINDS) - set(figures.FIGURES)
 
 
 def test_a_plan_of_a_field(cli: Cli) -> None:

@@ -8,7 +8,8 @@ from scanhsi.calibration.figures import mirror, optics, sensor, wavelength
 from scanhsi.calibration.figures.style import save_figure
 from scanhsi.calibration.result import Result
 
-_DRAW = {**sensor.FIGURES, **optics.FIGURES, **mirror.FIGURES, **wavelength.FIGURES}
+FIGURES = {**sensor.FIGURES, **optics.FIGURES, **mirror.FIGURES, **wavelength.FIGURES}
+"""Kind of a result -> what draws it."""
 
 
 def draw(result: Result, path: str | Path) -> Path | None:
@@ -24,5 +25,5 @@ def draw(result: Result, path: str | Path) -> Path | None:
     Raises:
         CalibrationError: The file cannot be written.
     """
-    found = _DRAW.get(result.kind)
+    found = FIGURES.get(result.kind)
     return None if found is None else save_figure(lambda: found(result), Path(path))
