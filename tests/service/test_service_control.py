@@ -127,7 +127,12 @@ def test_a_scan_is_finished_early_and_one_at_a_time(tmp_path: Path) -> None:
         await http.post(f"/jobs/{job['id']}/finish")
         ended = await service.done(job["id"])
         assert ended["state"] == "stopped"
-        assert 0 < ended["result"]["stored"] < 400
+        stored = ended["result"]["stored"]
+        assert 0 < stored < 400
+        rest = (await http.post("/cubes/a.zarr/resume")).json()
+        whole = await service.done(rest["id"])
+        assert (whole["state"], whole["result"]["resumed_at"]) == ("done", stored), whole["problem"]
+        assert (await http.get("/cubes/a.zarr")).json()["lines_stored"] == 400
         assert (await http.post(f"/jobs/{job['id']}/cancel")).status_code == 409
         assert (await http.get("/jobs/abc")).status_code == 404
 

@@ -75,11 +75,24 @@ class Job:
     confirmed: asyncio.Event = field(default_factory=asyncio.Event)
     control: ScanControl | None = None
     task: asyncio.Task[None] | None = None
+    _news: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
     def over(self) -> bool:
         """Whether it has ended."""
         return self.state in ENDED
+
+    async def settled(self, within_s: float) -> None:
+        """Wait until it is over or waits for a person, but not longer than so."""
+        if within_s and not self.over and self.state is not JobState.WAITING:
+            waiting = asyncio.ensure_future(self._news.wait())
+            await asyncio.wait([waiting], timeout=within_s)
+            waiting.cancel()
+
+    def tell_waiting(self) -> None:
+        """Whoever waits for news gets it now."""
+        self._news.set()
+        self._news = asyncio.Event()
 
 
 class Jobs:
@@ -135,12 +148,14 @@ class Jobs:
                 asyncio.get_running_loop().call_exception_handler({"message": f"job {job.id}", "exception": error})
         finally:
             job.prompt, job.ended = None, _now()
+            job.tell_waiting()
             self._changed(job)
 
     async def ask(self, job: Job, request: str) -> None:
         """Have a person do something; return when they have confirmed it."""
         job.confirmed.clear()
         job.state, job.prompt = JobState.WAITING, request
+        job.tell_waiting()
         self._changed(job)
         await job.confirmed.wait()
         job.state, job.prompt = JobState.RUNNING, None

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from scanhsi.devices import PixelFormat
-from scanhsi.engine import Mode
+from scanhsi.engine import Mode, OnFault
 from scanhsi.service.downloads import DownloadFormat
 from scanhsi.service.folder import NAME
 from scanhsi.service.jobs import Job, JobState, plain
@@ -169,11 +169,15 @@ class PlanBody(Body):
     step: Step | None = Field(default=None, description="Motor steps from one line to the next.")
     start: Step | None = Field(default=None, description="Step of the first line; centred on the normal if left out.")
     period_s: float | None = Field(default=None, gt=0, description="Line period of a continuous scan.")
-    look_ahead: float | None = Field(default=None, ge=0, le=0.5)
+    look_ahead: float | None = Field(default=None, ge=0, le=0.5, description="Accepted probability of a smeared line.")
+    on_fault: OnFault | None = Field(default=None, description="skip, retry or abort.")
+    line_retries: int | None = Field(default=None, ge=0, le=250)
+    retries: int | None = Field(default=None, ge=0, le=1_000_000)
+    recover_within_s: float | None = Field(default=None, gt=0)
 
     def given(self) -> dict[str, Any]:
-        """Fields that were set."""
-        return {name: value for name, value in self.model_dump().items() if value is not None}
+        """Fields that were set, also those that were set to null."""
+        return self.model_dump(exclude_unset=True)
 
 
 class ScanBody(Body):

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
+from pydantic import ValidationError
 
 from scanhsi.calibration.result import Result
 from scanhsi.characterise.aids import auto_exposure
 from scanhsi.characterise.spec_rows import result_rows
 from scanhsi.characterise.station import Target
 from scanhsi.clock import RealTime
+from scanhsi.cube.reader import cube_summary
 from scanhsi.cube.records import NOT_STAMPED, LineRecords
 from scanhsi.devices import PixelFormat
-from scanhsi.devices.errors import ConfigError
+from scanhsi.devices.errors import ConfigError, CubeError
 from scanhsi.devices.frames import Pixels
-from scanhsi.engine import Mode, Progress, ScanControl, ScanPlan
+from scanhsi.engine import Course, Mode, Progress, ScanControl, ScanPlan, ScanReport
 from scanhsi.service.jobs import Job, plain
 from scanhsi.service.station import Station
 from scanhsi.timing.observed import deliveries
@@ -73,21 +76,9 @@ def scan_job(
     title = f"{plan.mode} scan of {plan.lines} lines" + ("" if path is None else f" into {path.name}")
     job = Job("scan", title, None if path is None else path.name, control=ScanControl())
     job.request = {"plan": plan.model_dump(mode="json"), "target": target}
-    roi = course.settings.roi
-    assert roi is not None, "Instrument.check fills the ROI in"
-    spectral = imager.config.spectral
 
     async def work(job: Job) -> dict[str, Any]:
-        station.preview.begin(
-            job.id,
-            shape=roi.shape,
-            bits=plan.pixel_format.bits,
-            exposure_s=plan.exposure_s,
-            lines=plan.lines,
-            wavelength_nm=spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None,
-        )
-        watching = _Watching(station, job)
-        try:
+        async with _watching(station, job, plan, course) as watching:
             report = await imager.scan(
                 plan,
                 path,
@@ -97,14 +88,59 @@ def scan_job(
                 target=target,
                 watch=watching.watch,
             )
-        finally:
-            await station.preview.finish()
-        result = report.to_json()
-        if path is not None:
-            result["output"] = path.name
-        return result
+        return _told(report)
 
     return station.begin(job, work)
+
+
+def continued_job(station: Station, cube: str) -> Job:
+    """Finish a scan that was interrupted; see `scanhsi.Imager.resume`.
+
+    Raises:
+        NoSuch, CubeError: There is nothing to be resumed.
+        DeviceBusy: A job is under way.
+    """
+    path = station.folder.cube(cube)
+    try:
+        plan = ScanPlan.model_validate(cube_summary(path).attributes.get("plan"))
+    except ValidationError as error:
+        raise CubeError(f"{cube} does not tell its plan: it cannot be gone on with.") from error
+    course = station.imager.course(plan)
+    job = Job("scan", f"the rest of {cube}", cube, control=ScanControl())
+    job.request = {"plan": plan.model_dump(mode="json"), "resume": cube}
+
+    async def work(job: Job) -> dict[str, Any]:
+        async with _watching(station, job, plan, course) as watching:
+            report = await station.imager.resume(
+                path, on_progress=watching.progress, control=job.control, watch=watching.watch
+            )
+        return _told(report)
+
+    return station.begin(job, work)
+
+
+def _told(report: ScanReport) -> dict[str, Any]:
+    """The report; the cube goes by its name in the data folder."""
+    return {**report.to_json(), "output": None if report.output is None else Path(report.output).name}
+
+
+@asynccontextmanager
+async def _watching(station: Station, job: Job, plan: ScanPlan, course: Course) -> AsyncGenerator[_Watching]:
+    """Show a scan to the viewers."""
+    spectral, roi = station.imager.config.spectral, course.settings.roi
+    assert roi is not None, "Imager.course fills the ROI in"
+    station.preview.begin(
+        job.id,
+        shape=roi.shape,
+        bits=plan.pixel_format.bits,
+        exposure_s=plan.exposure_s,
+        lines=plan.lines,
+        wavelength_nm=spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None,
+    )
+    try:
+        yield _Watching(station, job)
+    finally:
+        await station.preview.finish()
 
 
 class _Watching:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path
+from fastapi import APIRouter, Path, Query
 from pydantic import Field
 
 from scanhsi.service.models import BenchmarkBody, Body, JobModel, Name, ScanBody
 from scanhsi.service.recipes import read_recipe
-from scanhsi.service.routes.common import IN_CONTROL, StationHere, problems
-from scanhsi.service.work import Calibration, auto_exposure_job, benchmark_job, calibration_job, plan_for, scan_job
+from scanhsi.service.routes.common import IN_CONTROL, CubeId, StationHere, problems
+from scanhsi.service.work import (
+    Calibration,
+    auto_exposure_job,
+    benchmark_job,
+    calibration_job,
+    continued_job,
+    plan_for,
+    scan_job,
+)
 
 router = APIRouter()
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{1,32}$", description="Id of the job.", examples=["3f9c1a2b4d5e"])]
@@ -60,6 +68,14 @@ async def start_scan(station: StationHere, body: ScanBody) -> JobModel:
     return JobModel.of(job)
 
 
+@router.post(
+    "/cubes/{id}/resume", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(404, 409)
+)
+async def resume_scan(station: StationHere, id: CubeId) -> JobModel:
+    """Finish a scan that was interrupted: killed, failed, or ended early. Only lines that are not stored are taken."""
+    return JobModel.of(continued_job(station, id))
+
+
 @router.post("/calibrations", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409))
 async def start_calibration(station: StationHere, body: CalibrationBody) -> JobModel:
     """Calibrate. Where a person has to put something before the instrument, the job waits until that is confirmed."""
@@ -89,9 +105,17 @@ async def list_jobs(station: StationHere) -> list[JobModel]:
 
 
 @router.get("/jobs/{id}", tags=["jobs"], responses=problems(404))
-async def get_job(station: StationHere, id: JobId) -> JobModel:
+async def get_job(
+    station: StationHere,
+    id: JobId,
+    wait_s: Annotated[
+        float, Query(ge=0, le=30, description="Answer when it is over or waits for a person, or after so long.")
+    ] = 0.0,
+) -> JobModel:
     """One job."""
-    return JobModel.of(station.jobs.get(id))
+    job = station.jobs.get(id)
+    await job.settled(wait_s)
+    return JobModel.of(job)
 
 
 @router.post("/jobs/{id}/pause", tags=["jobs"], dependencies=[IN_CONTROL], responses=problems(404, 409))

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Path
+from fastapi.responses import FileResponse
 
 from scanhsi.calibration.conditions import Conditions
 from scanhsi.service import results
+from scanhsi.service.folder import NAME
 from scanhsi.service.models import ResultEntry, SheetModel
 from scanhsi.service.routes.common import StationHere, problems
 
 router = APIRouter(tags=["results"])
+_FILE = {
+    200: {
+        "content": {"application/x-netcdf": {"schema": {"type": "string", "format": "binary"}}},
+        "description": "NetCDF-4.",
+    }
+}
+ResultId = Annotated[str, Path(pattern=NAME, description="Name of the result.", examples=["dark.nc"])]
 
 
 @router.get("/calibrations", responses=problems())
@@ -22,6 +33,13 @@ async def list_calibrations(station: StationHere) -> list[ResultEntry]:
         roi=None if roi is None else roi.model_dump(),
     )
     return await station.background.run(lambda: results.entries(station.folder.results(), now))
+
+
+@router.get("/calibrations/{id}/file", response_class=FileResponse, responses=problems(404) | _FILE)
+async def get_calibration_file(station: StationHere, id: ResultId) -> FileResponse:
+    """The result as a file (NetCDF-4)."""
+    path = station.folder.result(id)
+    return FileResponse(path, media_type="application/x-netcdf", filename=path.name)
 
 
 @router.get("/spec", responses=problems())
