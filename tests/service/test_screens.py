@@ -10,7 +10,7 @@ import pytest
 from scanhsi.cube.reader import cube_summary
 from support.browser import LOW_CONTRAST, SCROLLS, SIZES, SMALL_TARGETS, chromium, page_at, served
 
-SMALL = ("--set", "roi.bands=64", "--set", "roi.samples=120", "--set", "roi.band_offset=500")
+SMALL = ("roi.bands=64", "roi.samples=120", "roi.band_offset=500", 'limits.exposure=["10 ms", "30 ms"]')
 SCREENS = ("align", "focus", "expose", "references", "plan", "scan", "view", "calibrate", "system")
 PICTURES = os.environ.get("SCANHSI_SCREENSHOTS")
 """Folder for pictures of all screens, to be looked at."""
@@ -23,7 +23,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def service(data: Path) -> Generator[str]:
-    with served("sensors2019", "--data", str(data), *SMALL) as url:
+    with served("sensors2019", "--data", str(data), *(f"--set={key}" for key in SMALL)) as url:
         yield url
 
 
@@ -106,6 +106,9 @@ def test_a_whole_session(browser: Any, service: str, data: Path, size: str) -> N
         summary = cube_summary(data / name)
         assert summary.complete
         assert summary.lines_missing == 0
+        _go(page, "align")
+        page.get_by_role("button", name="Live view on").click()
+        page.get_by_role("button", name="Live view off").wait_for()
         page.get_by_role("button", name="Release").click()
         page.get_by_role("button", name="Take control").wait_for()
 

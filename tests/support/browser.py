@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -63,7 +64,7 @@ def _missing(what: str) -> None:
 
 @contextmanager
 def page_at(browser: Any, url: str, size: str, scheme: str = "dark") -> Generator[Any]:
-    """A page of some size; fails when anything is said in its console that is not good."""
+    """A page of some size; fails when anything is said in its console that is not good, and keeps a picture of what fails."""
     width, height = SIZES[size]
     context = browser.new_context(
         viewport={"width": width, "height": height}, color_scheme=scheme, accept_downloads=True
@@ -74,7 +75,11 @@ def page_at(browser: Any, url: str, size: str, scheme: str = "dark") -> Generato
     page.on("pageerror", lambda error: wrong.append(str(error)))
     try:
         page.goto(url)
-        yield page
+        try:
+            yield page
+        except BaseException:
+            page.screenshot(path=f"{tempfile.gettempdir()}/scanhsi-screen.png")
+            raise
         assert not wrong, wrong
     finally:
         context.close()

@@ -2,6 +2,7 @@
 
 import { get, post, put, remove } from "./api.js";
 import { button, fill, field } from "./dom.js";
+import { refresh } from "./live.js";
 import { ask, attempt } from "./messages.js";
 import { on, setLease, state } from "./store.js";
 
@@ -19,7 +20,7 @@ export function controlButton() {
     take.classList.toggle("primary", !holder);
   };
   on("state", show);
-  setInterval(() => inControl() && put("/lease").catch(() => {}), RENEW_MS);
+  setInterval(() => inControl() && put("/lease").catch(refresh), RENEW_MS);
   return take;
 }
 
@@ -27,6 +28,7 @@ async function toggle() {
   if (inControl()) {
     await attempt(() => remove("/lease"));
     setLease(null);
+    await attempt(refresh);
     return;
   }
   const name = field("Your name, for the others", { type: "text", value: localStorage.getItem("scanhsi.name") ?? "", required: true, maxLength: 80 });
@@ -37,6 +39,7 @@ async function toggle() {
   await attempt(async () => {
     const lease = await post("/lease", { name: localStorage.getItem("scanhsi.name"), ttl_s: TTL_S });
     setLease(lease.id);
+    await refresh(); // what was told meanwhile was told to somebody who looked on
   });
 }
 

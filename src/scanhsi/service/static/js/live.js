@@ -1,7 +1,7 @@
 // The two WebSockets: events, and frames. Both come back by themselves when the service does.
 
 import { BASE, get } from "./api.js";
-import { setLease, state, tell } from "./store.js";
+import { state, tell } from "./store.js";
 
 const AGAIN_MS = 1500;
 
@@ -27,7 +27,6 @@ export async function refresh() {
 
 function take(info) {
   state.info = info;
-  if (state.lease && !info.lease) setLease(null);
   tell("state", info);
 }
 

@@ -52,7 +52,11 @@ function open(element, page) {
     stored.show(String(report.stored));
     lost.show(String(report.missing), report.missing > 0);
   };
+  let drawn = "";
   const controls = () => {
+    const now = job ? `${job.id} ${job.state}` : "none";
+    if (now === drawn) return; // a button that is replaced under the finger hears nothing
+    drawn = now;
     if (!job || OVER.includes(job.state)) {
       fill(buttons, command("Scan", start, { kind: "primary", id: "start-scan" }),
         job?.output && job.state !== "failed" && button("View", () => { location.hash = `#view/${job.output}`; }));
@@ -86,11 +90,10 @@ function open(element, page) {
       h("div.card.fills", h("h2", "Where the time goes"), times.element),
       buttons)));
   waterfall.say("the colour picture grows here");
-  controls();
   get("/jobs").then((jobs) => {
     const last = jobs.find((one) => one.kind === "scan");
     if (last && !job) draw(last);
-  }).catch(() => {});
+  }).catch(() => {}).finally(controls);
 }
 
 export default { title: "Scan", open };
