@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scanhsi.devices import PixelFormat
 from scanhsi.engine import Mode, ScanPlan
+from scanhsi.engine.plan import OnFault
 from scanhsi.imager import default_plan
 from scanhsi.instrument import InstrumentConfig
 from scanhsi.testing.faults import ABOUT, NO_FAULTS, Fault, FaultPlan, Kind
@@ -162,6 +163,7 @@ _DRAWN: Final = {
     Kind.POWER_CUT: _Drawn(2, per_line=1.0, more=6),
     Kind.LOOP_STALLS: _Drawn(per_line=20, more=60),
     Kind.CLOCK_STEP: _Drawn(0.5, per_line=0, more=2),
+    Kind.PAUSED: _Drawn(2, per_line=20, more=60),
     Kind.STOP_REQUESTED: _Drawn(2, per_line=20, more=60),
     Kind.CANCELLED: _Drawn(3, per_line=20, more=60),
 }
@@ -210,8 +212,12 @@ def draw(seed: int | str, scan: int) -> Case:
 
 def _recovery(rng: Random) -> dict[str, Any]:
     """What the plan says about faults."""
-    del rng
-    return {}
+    plan: dict[str, Any] = {"on_fault": rng.choice((OnFault.RETRY, OnFault.RETRY, OnFault.SKIP, OnFault.ABORT)).value}
+    if rng.random() < 0.3:
+        plan |= {"line_retries": rng.choice((0, 1, 5)), "retries": rng.choice((0, 2, 100))}
+    if rng.random() < 0.2:
+        plan["recover_within_s"] = rng.choice((1.0, 10.0))
+    return plan
 
 
 def _how_many(rng: Random) -> int:
@@ -224,7 +230,7 @@ def _fault(rng: Random, lines: int) -> Fault:
     given: dict[str, Any] = {}
     if "for_s" in takes:
         given["for_s"] = rng.choice(_WAITS_S)
-        if kind in (Kind.EXPOSURE_LONGER, Kind.WRITE_SLOW, Kind.LOOP_STALLS) and given["for_s"] is None:
+        if kind in (Kind.EXPOSURE_LONGER, Kind.WRITE_SLOW, Kind.LOOP_STALLS, Kind.PAUSED) and given["for_s"] is None:
             given["for_s"] = 0.3
     if "after_s" in takes:
         given["after_s"] = rng.choice(_MOMENTS_S)

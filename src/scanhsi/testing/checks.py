@@ -134,6 +134,7 @@ _HARMLESS: Final = frozenset(
         Kind.HOME_WRONG,
         Kind.CLOCK_STEP,
         Kind.STOP_REQUESTED,
+        Kind.PAUSED,
         Kind.KILLED,
         Kind.POWER_CUT,
     }

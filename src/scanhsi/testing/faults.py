@@ -70,6 +70,7 @@ class Kind(StrEnum):
     LOOP_STALLS = "loop stalls"
     GIL_HOG = "gil hog"
     CLOCK_STEP = "clock step"
+    PAUSED = "paused"
     STOP_REQUESTED = "stop requested"
     CANCELLED = "cancelled"
 
@@ -141,6 +142,7 @@ ABOUT: Final = {
     Kind.LOOP_STALLS: _about("callback of the event loop", "it takes for_s, and all others wait", "for_s"),
     Kind.GIL_HOG: _about("callback of the event loop", "a thread keeps the interpreter busy for for_s", "for_s"),
     Kind.CLOCK_STEP: _about("look at the wall clock", "from it on the wall clock is by seconds ahead", "by"),
+    Kind.PAUSED: _about("callback of the event loop", "the scan is asked to pause, for_s later to go on", "for_s"),
     Kind.STOP_REQUESTED: _about("callback of the event loop", "the scan is asked to stop: the first Ctrl-C"),
     Kind.CANCELLED: _about("callback of the event loop", "the scan is cancelled: the second Ctrl-C"),
 }

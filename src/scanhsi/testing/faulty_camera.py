@@ -22,6 +22,7 @@ from scanhsi.devices import (
     FrameStream,
     FreeRunning,
     HardwareTriggered,
+    MeasuresTemperature,
     OverlapsReadout,
     Pixels,
     ShowsScenes,
@@ -185,6 +186,11 @@ class _Foretelling(FaultyCamera):
         return await self._call("expose", self.expose_by(lambda: inner.expose_foretold(foretold)))
 
 
+class _Measuring(FaultyCamera):
+    async def temperature_c(self) -> float | None:
+        return await cast(MeasuresTemperature, self.inner).temperature_c()
+
+
 class _Showing(FaultyCamera):
     @property
     def scenes(self) -> tuple[str, ...]:
@@ -203,6 +209,7 @@ _ABILITIES: tuple[tuple[type, type[FaultyCamera]], ...] = (
     (FreeRunning, _FreeRunning),
     (OverlapsReadout, _Overlapping),
     (ForetellsEnd, _Foretelling),
+    (MeasuresTemperature, _Measuring),
     (ShowsScenes, _Showing),
 )
 _classes: dict[tuple[type, ...], type[FaultyCamera]] = {}

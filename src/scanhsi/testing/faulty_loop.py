@@ -11,12 +11,13 @@ from contextvars import Context
 from typing import Any, Final, TypeVar, TypeVarTuple, Unpack
 
 from scanhsi.clock import VirtualTimeLoop
+from scanhsi.engine.steering import ScanControl
 from scanhsi.testing.faults import Fault, Faults, Kind
 
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 
-_OF_CALLBACKS: Final = (Kind.LOOP_STALLS, Kind.STOP_REQUESTED, Kind.CANCELLED)
+_OF_CALLBACKS: Final = (Kind.LOOP_STALLS, Kind.PAUSED, Kind.STOP_REQUESTED, Kind.CANCELLED)
 
 
 class FaultyLoop(VirtualTimeLoop):
@@ -39,13 +40,13 @@ class FaultyLoop(VirtualTimeLoop):
         self._faults = faults
         self._kinds = tuple(kind for kind in _OF_CALLBACKS if faults.has(kind))
         self._watched: asyncio.Task[Any] | None = None
-        self._stop: Callable[[], object] = lambda: None
+        self._control = ScanControl()
         self._job_s = 0.0
         super().__init__(inline=True)
 
-    def watch(self, task: asyncio.Task[Any], stop: Callable[[], object]) -> None:
-        """From now on faults happen: to this task, which ``stop`` asks to end, until it ends."""
-        self._watched, self._stop = task, stop
+    def watch(self, task: asyncio.Task[Any], control: ScanControl) -> None:
+        """From now on faults happen: to this task, a scan that is steered by ``control``, until it ends."""
+        self._watched, self._control = task, control
         self._faults.begin(self.time_ns)
 
     def call_soon(self, callback: Callable[..., object], *args: Any, context: Context | None = None) -> asyncio.Handle:
@@ -67,7 +68,11 @@ class FaultyLoop(VirtualTimeLoop):
         if fault.kind is Kind.LOOP_STALLS:
             self._jump(self.time() + (fault.for_s or 0.0))
         elif fault.kind is Kind.STOP_REQUESTED:
-            self._stop()
+            self._control.stop.set()
+        elif fault.kind is Kind.PAUSED:
+            self._control.pause()
+            if fault.for_s is not None:
+                self.call_later(fault.for_s, self._control.go_on)
         else:
             self.cancellations += task.cancel()
 
@@ -85,19 +90,20 @@ class FaultyLoop(VirtualTimeLoop):
         return job.future
 
 
+EPOCH_NS: Final = 1_800_000_000_000_000_000
+"""Wall clock at the begin of virtual time."""
+
+
 @contextmanager
-def wall_clock(faults: Faults) -> Generator[None]:
-    """Let the wall clock (``time.time_ns``) of this process jump as a plan says while entered."""
-    if not faults.has(Kind.CLOCK_STEP):
-        yield
-        return
+def wall_clock(faults: Faults, loop: VirtualTimeLoop) -> Generator[None]:
+    """Let the wall clock (``time.time_ns``) of this process follow virtual time while entered, and jump as a plan says."""
     original, ahead = time.time_ns, 0
 
     def stepping() -> int:
         nonlocal ahead
         if (fault := faults.due(Kind.CLOCK_STEP)) is not None:
             ahead += round(fault.by * 1e9)
-        return original() + ahead
+        return EPOCH_NS + loop.time_ns() + ahead
 
     time.time_ns = stepping
     try:
@@ -106,13 +112,13 @@ def wall_clock(faults: Faults) -> Generator[None]:
         time.time_ns = original
 
 
-def real_host_faults(faults: Faults, task: asyncio.Task[Any], stop: Callable[[], object]) -> None:
+def real_host_faults(faults: Faults, task: asyncio.Task[Any], control: ScanControl) -> None:
     """Let the host faults of a plan that have ``at_s`` happen in the running real-time loop; those in the past are over."""
     loop = asyncio.get_running_loop()
     actions: dict[Kind, Callable[[Fault], object]] = {
         Kind.LOOP_STALLS: lambda fault: time.sleep(fault.for_s or 0.0),
         Kind.GIL_HOG: lambda fault: hog_the_interpreter(fault.for_s or 0.0),
-        Kind.STOP_REQUESTED: lambda fault: stop(),
+        Kind.STOP_REQUESTED: lambda fault: control.stop.set(),
         Kind.CANCELLED: lambda fault: task.cancel(),
     }
     for fault in faults.plan.faults:

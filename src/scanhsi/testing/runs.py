@@ -19,6 +19,7 @@ from scanhsi.clock import now_ns
 from scanhsi.cube.destination import Destination
 from scanhsi.cube.durable import LocalDestination
 from scanhsi.engine import Progress, ScanReport
+from scanhsi.engine.steering import ScanControl
 from scanhsi.testing.cases import Case
 from scanhsi.testing.faults import Faults
 from scanhsi.testing.faulty_loop import FaultyLoop, wall_clock
@@ -98,11 +99,11 @@ def _run(case: Case, folder: Path | None) -> Outcome:
     before = _handles(), set(threading.enumerate())
     loop = FaultyLoop(faults)
     loop.set_exception_handler(lambda _, context: outcome.unhandled.append(_described(context)))
-    with wall_clock(faults), asyncio.Runner(loop_factory=lambda: loop) as runner:
+    with wall_clock(faults, loop), asyncio.Runner(loop_factory=lambda: loop) as runner:
         runner.get_loop()
-        stop = asyncio.Event()
-        task = loop.create_task(_scan(case, outcome, stop, loop, folder), name="scan")
-        loop.watch(task, stop.set)
+        control = ScanControl()
+        task = loop.create_task(_scan(case, outcome, control, loop, folder), name="scan")
+        loop.watch(task, control)
         loop.call_at(case.deadline_s, _give_up, outcome, task)
         try:
             loop.run_until_complete(task)
@@ -119,7 +120,7 @@ def _run(case: Case, folder: Path | None) -> Outcome:
     return outcome
 
 
-async def _scan(case: Case, outcome: Outcome, stop: asyncio.Event, loop: FaultyLoop, folder: Path | None) -> None:
+async def _scan(case: Case, outcome: Outcome, control: ScanControl, loop: FaultyLoop, folder: Path | None) -> None:
     config = with_faults(case.instrument(), outcome.faults, outcome.witness)
     outcome.place = _place(case, folder)
     destination = None
@@ -135,7 +136,7 @@ async def _scan(case: Case, outcome: Outcome, stop: asyncio.Event, loop: FaultyL
     async with scanhsi.open_instrument(config) as hsi:
         outcome.stage = "scan"
         try:
-            outcome.report = await hsi.scan(case.scan_plan(), destination, on_progress=told, stop=stop)  # pyright: ignore[reportArgumentType] destinations pass through
+            outcome.report = await hsi.scan(case.scan_plan(), destination, on_progress=told, control=control)  # pyright: ignore[reportArgumentType] destinations pass through
         finally:
             now = now_ns()
             outcome.mirror_still = outcome.witness.still(now, now + _A_WHILE_NS)
