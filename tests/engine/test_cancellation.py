@@ -158,12 +158,12 @@ def test_failure_and_cancellation_together(mode: Mode) -> None:
             assert not case.violations(outcome), (number, outcome, case.violations(outcome))
 
 
-@pytest.mark.parametrize("mode", Mode)
-def test_whatever_fails_once_a_scan_that_retries_is_whole(mode: Mode) -> None:
-    healthy = Case(mode)
+@pytest.mark.parametrize(("mode", "look_ahead"), [*((mode, None) for mode in Mode), (Mode.STEPPED, 0.0)])
+def test_whatever_fails_once_a_scan_that_retries_is_whole(mode: Mode, look_ahead: float | None) -> None:
+    healthy = Case(mode, look_ahead=look_ahead)
     run_with_cancel_before(healthy.main, None)
     for number in range(1, healthy.bench.operations):  # the first one is refused
-        case = Case(mode, fail_at=number, recovery=Recovery(OnFault.RETRY))
+        case = Case(mode, fail_at=number, look_ahead=look_ahead, recovery=Recovery(OnFault.RETRY))
         outcome = run_with_cancel_before(case.main, None)
         assert outcome.error is None, number
         assert case.sink.records.stored == LINES, number
