@@ -221,6 +221,10 @@ class SimulatedCamera:
         run.end()
         await asyncio.wait(tasks)
 
+    async def temperature_c(self) -> float | None:
+        """How warm the sensor is, as its options have it."""
+        return self._options.sensor.temperature_c
+
     @property
     def scenes(self) -> tuple[str, ...]:
         """Names of what it can look at."""

@@ -40,14 +40,15 @@ class SensorOptions(_Table, frozen=True):
     shot_noise: bool = Field(default=True, description="whether light and dark current arrive as single electrons")
     offset_e: float = Field(default=100.0, ge=0, description="black level, so that noise around zero is not cut off")
     dsnu_e: float = Field(default=0.0, ge=0, description="standard deviation of the black level over the pixels")
-    dark_e_per_s: float = Field(default=125.0, ge=0, description="mean dark current")
+    temperature_c: float = Field(default=25.0, ge=-80, le=120, description="of the sensor")
+    dark_e_per_s: float = Field(default=125.0, ge=0, description="mean dark current at 25 degC; it doubles every 7 K")
     dark_spread: float = Field(
         default=0.4, ge=0, description="its log-normal spread over the pixels, standard deviation of the log"
     )
     prnu: float = Field(default=0.01, ge=0, description="relative standard deviation of the response over the pixels")
     hot_per_million: float = Field(default=20.0, ge=0, le=1e6, description="hot pixels in a million")
     hot_e_per_s: Annotated[tuple[float, float], AfterValidator(ordered)] = Field(
-        default=(12_500.0, 250_000.0), description="smallest and largest dark current of hot pixels"
+        default=(12_500.0, 250_000.0), description="smallest and largest dark current of hot pixels, at 25 degC"
     )
     hot_nonlinear: float = Field(
         default=0.0,

@@ -22,6 +22,8 @@ _DEFAULTS = SensorOptions()
 FULL_WELL_E = _DEFAULTS.full_well_e
 READ_NOISE_E = _DEFAULTS.read_noise_e
 OFFSET_E = _DEFAULTS.offset_e
+_DARK_AT_C = 25.0
+_DOUBLES_EVERY_K = 7.0
 DARK_E_PER_S = _DEFAULTS.dark_e_per_s
 PRNU = _DEFAULTS.prnu
 
@@ -57,6 +59,7 @@ class Sensor:
         self.hot, self.nonlinear = _hot(shape, rng, options)
         low, high = np.log(np.maximum(options.hot_e_per_s, 1e-9))
         self.dark_e_per_s[self.hot] = np.exp(rng.uniform(low, high, int(self.hot.sum())))
+        self.dark_e_per_s *= np.float32(2 ** ((options.temperature_c - _DARK_AT_C) / _DOUBLES_EVERY_K))
         self.offset_e = (options.offset_e + options.dsnu_e * rng.standard_normal(shape)).astype(np.float32)
         self._last_dark: tuple[object, Floats] = None, self.offset_e
         self._bank = rng.standard_normal(max(_BANK, 2 * shape[0] * shape[1]), np.float32)

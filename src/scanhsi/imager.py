@@ -25,7 +25,7 @@ from scanhsi.cube.destination import Destination
 from scanhsi.cube.places import destination_of
 from scanhsi.cube.slow import SlowSink
 from scanhsi.cube.watched import Watch, WatchedSink
-from scanhsi.devices import Actuator, Camera, CameraSettings, Light, PixelFormat
+from scanhsi.devices import Actuator, Camera, CameraSettings, Light, PixelFormat, sensor_temperature_c
 from scanhsi.devices.errors import ConfigError, DeviceBusy
 from scanhsi.engine import Course, Mode, Progress, ScanControl, ScanPlan, ScanReport, run_scan
 from scanhsi.engine.resume import Begun, begun
@@ -188,6 +188,8 @@ class Imager:
             with clock.real_time(real_time) as granted:
                 place = None if output is None else destination_of(output, spool=spool)
                 spec = None if place is None else self._spec(course, plan, granted, target)
+                if spec is not None and (warmth := await sensor_temperature_c(self.camera)) is not None:
+                    spec = replace(spec, attributes={**spec.attributes, "sensor_temperature_c": warmth})
                 sink = DiscardSink() if place is None or spec is None else self._writer(place, spec)
                 sink = self._slowed(sink, plan)
                 async with beside(process, spec, output) as processing:

@@ -106,6 +106,22 @@ def test_a_dark_model_that_is_too_old_is_refused_before_anything_moves() -> None
     assert run_virtual(main()).lines == 3
 
 
+def test_a_dark_model_of_a_cooler_sensor_is_refused() -> None:
+    warm = load_instrument("sensors2019", {**SMALL, "camera.sensor.temperature_c": 39.0})
+
+    async def main() -> float:
+        async with scanhsi.open_instrument(small()) as hsi:
+            dark = await hsi.calibrate.dark(exposures_s=[0.01, 0.2], frames=3)
+        async with scanhsi.open_instrument(warm) as hsi:
+            with pytest.raises(CalibrationError, match=r"the sensor was at 25\.0 degC and is at 39\.0 degC"):
+                await hsi.calibrate.white(dark=dark, exposure_s=0.02, frames=3)
+            hot = await hsi.calibrate.dark(exposures_s=[0.01, 0.2], frames=3)
+            assert hot.provenance.temperature_c == 39.0
+            return float(np.median(hot.rate) / np.median(dark.rate))
+
+    assert 3 < run_virtual(main()) < 5  # 14 K more: twice doubled
+
+
 def test_the_camera_looks_at_its_own_scene_again_afterwards() -> None:
     async def main() -> list[str]:
         async with scanhsi.open_instrument(small()) as hsi:

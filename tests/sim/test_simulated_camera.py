@@ -423,7 +423,14 @@ def test_it_says_what_it_is() -> None:
 
 
 def test_abilities_are_those_of_its_class() -> None:
-    abilities = ("HardwareTriggered", "FreeRunning", "OverlapsReadout", "ForetellsEnd", "ShowsScenes")
+    abilities = (
+        "HardwareTriggered",
+        "FreeRunning",
+        "OverlapsReadout",
+        "ForetellsEnd",
+        "MeasuresTemperature",
+        "ShowsScenes",
+    )
     assert camera_backend.capabilities == abilities
     assert camera_backend.capabilities == abilities
     plain, overlapping = (camera("ideal", overlap=overlap) for overlap in (False, True))

@@ -6,6 +6,7 @@ from scanhsi.devices.capabilities import (
     ForetellsEnd,
     FreeRunning,
     HardwareTriggered,
+    MeasuresTemperature,
     OverlapsReadout,
     ShowsScenes,
     Sighting,
@@ -14,6 +15,7 @@ from scanhsi.devices.capabilities import (
     TellsStart,
     capabilities_of,
     require,
+    sensor_temperature_c,
 )
 from scanhsi.devices.frames import Frame, FrameChannel, FrameEvent, FrameGap, FrameStream, Pixels
 from scanhsi.devices.light import Light, LightInfo, Lit
@@ -41,6 +43,7 @@ __all__ = [
     "Light",
     "LightInfo",
     "Lit",
+    "MeasuresTemperature",
     "Motion",
     "OverlapsReadout",
     "PixelFormat",
@@ -59,5 +62,6 @@ __all__ = [
     "find",
     "installed",
     "require",
+    "sensor_temperature_c",
     "unpack",
 ]

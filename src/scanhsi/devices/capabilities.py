@@ -159,6 +159,23 @@ class ForetellsEnd(Protocol):
 
 
 @runtime_checkable
+class MeasuresTemperature(Protocol):
+    """A camera that can tell how warm its sensor is: dark signal doubles every few kelvin, so every cube keeps it."""
+
+    async def temperature_c(self) -> float | None:
+        """Temperature of the sensor, in degrees Celsius; None where this model of the camera does not know it.
+
+        May be called at any time between ``connect`` and ``close`` when the camera is not armed.
+        """
+        ...
+
+
+async def sensor_temperature_c(camera: object) -> float | None:
+    """How warm a camera's sensor is; None where it cannot tell."""
+    return await camera.temperature_c() if isinstance(camera, MeasuresTemperature) else None
+
+
+@runtime_checkable
 class ShowsScenes(Protocol):
     """A simulated camera that can be put before something else, as a person would put a tile before a real one."""
 
@@ -189,6 +206,7 @@ CAPABILITIES: tuple[type, ...] = (
     FreeRunning,
     OverlapsReadout,
     ForetellsEnd,
+    MeasuresTemperature,
     ShowsScenes,
 )
 

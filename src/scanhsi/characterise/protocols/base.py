@@ -17,6 +17,7 @@ from scanhsi.calibration.result import Result, save
 from scanhsi.characterise.aids import auto_exposure
 from scanhsi.characterise.station import Prompt, Scans, Station, Target, Tell, station
 from scanhsi.clock import run_blocking
+from scanhsi.devices import sensor_temperature_c
 from scanhsi.devices.errors import CalibrationError
 from scanhsi.engine import ScanPlan
 
@@ -46,7 +47,7 @@ class Protocols:
         async with station(self.imager, folder, prompt=self.prompt, tell=self.tell) as at:
             yield at
 
-    def check(self, *results: DarkModel | Geometry | None) -> None:
+    async def check(self, *results: DarkModel | Geometry | None) -> None:
         """Refuse results that do not apply to what is going to be taken, before anything moves; None is none.
 
         Raises:
@@ -60,6 +61,7 @@ class Protocols:
                 "instrument": instrument.config.model_dump(mode="json"),
                 "devices": instrument.describe(),
                 "binning": {"bands": storage.bin_bands, "samples": storage.bin_samples},
+                "sensor_temperature_c": await sensor_temperature_c(self.imager.camera),
             }
         )
         for result in results:

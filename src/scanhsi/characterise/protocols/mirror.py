@@ -50,7 +50,7 @@ class MirrorProtocols(Protocols):
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
-        self.check(plane)
+        await self.check(plane)
         async with self.station(output) as at:
             cube = await self.scan_target(at, SLANTED_LINES, half_mm, exposure_s)
             return await finish(
@@ -79,7 +79,7 @@ class MirrorProtocols(Protocols):
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
-        self.check(plane)
+        await self.check(plane)
         async with self.station(output) as at:
             await at.look_at(SLANTED_LINES)
             exposure = await self.exposure(exposure_s)
@@ -117,7 +117,7 @@ class MirrorProtocols(Protocols):
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
-        self.check(plane)
+        await self.check(plane)
         async with self.station(output) as at:
             await at.look_at(SLANTED_LINES)
             exposure = await self.exposure(exposure_s)

@@ -76,7 +76,7 @@ class OpticsProtocols(Protocols):
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
-        self.check(plane)
+        await self.check(plane)
         count = scans or (_SCANS if axis == "line" else 1)
         async with self.station(output) as at:
             await at.look_at(SLANTED_EDGE)

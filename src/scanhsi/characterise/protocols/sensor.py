@@ -72,7 +72,7 @@ class SensorProtocols(Protocols):
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
-        self.check(dark)
+        await self.check(dark)
         async with self.station(output) as at:
             await at.look_at(WHITE)
             if exposure_s is None:
@@ -127,7 +127,7 @@ class SensorProtocols(Protocols):
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
-        self.check(dark)
+        await self.check(dark)
         async with self.station(output) as at:
             await at.look_at(WHITE)
             exposures = list(exposures_s) if exposures_s is not None else await self._up_to_white()
@@ -164,7 +164,7 @@ class SensorProtocols(Protocols):
         Raises:
             CalibrationError, ScanFailed, OutOfRange, CubeExists: See `Calibrator`.
         """
-        self.check(dark)
+        await self.check(dark)
         async with self.station(output) as at:
             await at.look_at(WHITE)
             began_ns = now_ns()

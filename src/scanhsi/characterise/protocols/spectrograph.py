@@ -150,7 +150,7 @@ class SpectrographProtocols(Protocols):
         work_out: Callable[[list[Path]], R],
     ) -> R:
         """Stills of some targets and, without a dark model, of nothing, at the exposure that suits the first."""
-        self.check(dark)
+        await self.check(dark)
         async with self.station(output) as at:
             cubes: list[Path] = []
             for target in [*targets, *([DARK] if dark is None else [])]:
