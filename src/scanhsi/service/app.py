@@ -52,8 +52,25 @@ def create_app(station: Station, security: Security | None = None) -> ASGIApp:
     return guard
 
 
+class _Api(FastAPI):
+    """Described with its problems and its token."""
+
+    def openapi(self) -> dict[str, Any]:
+        if self.openapi_schema is None:
+            schema = super().openapi()
+            components = schema["components"]
+            components["schemas"][Problem.__name__] = Problem.model_json_schema(
+                ref_template="#/components/schemas/{model}"
+            )
+            components["securitySchemes"] = {
+                "token": {"type": "http", "scheme": "bearer", "description": "Where the service has a token."}
+            }
+            schema["security"] = [{}, {"token": []}]
+        return self.openapi_schema or {}
+
+
 def _api() -> FastAPI:
-    app = FastAPI(
+    app = _Api(
         title="scanhsi",
         version=version("scanhsi"),
         description="A line-scanning hyperspectral imager: state, motion, scans as jobs, cubes. WebSockets: `/api/v1/events`, "
@@ -78,11 +95,7 @@ def _api() -> FastAPI:
 
 def description() -> dict[str, Any]:
     """The OpenAPI description."""
-    schema = _api().openapi()
-    schema["components"]["schemas"][Problem.__name__] = Problem.model_json_schema(
-        ref_template="#/components/schemas/{model}"
-    )
-    return schema
+    return _api().openapi()
 
 
 def _operation_id(route: APIRoute) -> str:

@@ -30,7 +30,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     schema = {"$ref": f"#/components/schemas/{Problem.__name__}"}
     return {
         status: {"description": _WHY[status], "content": {MEDIA_TYPE: {"schema": schema}}}
-        for status in sorted({401, 403, 422, 429, *statuses})
+        for status in sorted({401, 403, 413, 422, 429, *statuses})
     }
 
 
@@ -47,7 +47,19 @@ StationHere = Annotated[Station, Depends(_station)]
 LeaseId = Annotated[str | None, Header(alias="Scanhsi-Lease", max_length=200, description="Id of the control lease.")]
 
 
-async def _in_control(station: StationHere, lease: LeaseId = None) -> None:
+async def _in_control(
+    station: StationHere,
+    lease: LeaseId = None,
+    key: Annotated[
+        str | None,
+        Header(
+            alias="Idempotency-Key",
+            max_length=200,
+            description="Names this command: sent again with the same key it is answered as before, and not done again.",
+        ),
+    ] = None,
+) -> None:
+    del key  # `scanhsi.service.idempotency` looks at it
     station.lease.renew(lease)
 
 
