@@ -114,7 +114,9 @@ def draw_photon_transfer(result: PhotonTransfer) -> Figure:
     right.plot(exposure_ms[top + 1 :], result.signal[top + 1 :], "o", color=RED, mfc="white")
     right.set_xlabel("exposure / ms")
     right.set_ylabel("dark-corrected mean / counts")
-    right.set_title(f"full well {result.full_well_e:.0f} e, read noise {result.read_noise_e:.1f} e")
+    known = np.isfinite(result.full_well_e)
+    full = f"full well {result.full_well_e:.0f} e" if known else f"saturation {result.saturation_e:.0f} e"
+    right.set_title(f"{full}, read noise {result.read_noise_e:.1f} e")
     right.legend(loc="upper left")
     return figure
 
