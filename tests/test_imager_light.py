@@ -33,3 +33,16 @@ def test_scans_see_light_and_dark_references_do_not(tmp_path: Path) -> None:
     assert float(dark["cube"].mean()) < 0.2 * float(white["cube"].mean())
     described = white.attrs["instrument"]
     assert "light" in str(described)
+
+
+def test_a_light_that_was_left_on_does_not_shine_on_a_dark_reference(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with scanhsi.open_instrument(load_instrument("sensors2019", LIT)) as hsi:
+            light = hsi.instrument.light
+            assert light is not None
+            await light.on()
+            await hsi.scan(hsi.default_plan(lines=4), tmp_path / "left.zarr", target="dark")
+            assert light.level == 0
+
+    run_virtual(main())
+    assert float(scanhsi.open_cube(tmp_path / "left.zarr")["cube"].mean()) < 200

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 
 from scanhsi.clock import now_ns
-from scanhsi.devices.errors import DeviceBusy, DeviceError, DeviceNotFound, DeviceTimeout, ProtocolError
+from scanhsi.devices.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DeviceTimeout, ProtocolError
 from scanhsi.devices.light import LightInfo, Lit
 from scanhsi.devices.values import Range
 from scanhsi_numato.link import NumatoLink
@@ -82,10 +82,12 @@ class NumatoLight:
 
     async def close(self) -> None:
         """Switch off, then close the port."""
-        if self._link is not None and not self._link.lost.is_set():
-            with contextlib.suppress(DeviceError):
-                await self.off()
-        await self._close_port()
+        try:
+            if self._link is not None and not self._link.lost.is_set():
+                with contextlib.suppress(DeviceLost):
+                    await self.off()
+        finally:
+            await self._close_port()
 
     async def on(self, level: float | None = None) -> Lit:
         """Switch on; a light that is on already stays on."""

@@ -202,7 +202,7 @@ class Imager:
                         on_progress=on_progress,
                         stop=stop,
                         control=control,
-                        light=self._light(target),
+                        light=await self._light(target),
                     )
                     processed = None if processing is None else await processing.finish()
                 return replace(report, real_time=granted, processed=processed)
@@ -257,7 +257,7 @@ class Imager:
                     on_progress=on_progress,
                     control=control,
                     first=writer.next_line,
-                    light=self._light(before.attributes.get("target")),
+                    light=await self._light(before.attributes.get("target")),
                 )
                 return replace(report, real_time=granted)
 
@@ -313,9 +313,13 @@ class Imager:
                     light=self.instrument.light,
                 )
 
-    def _light(self, target: object) -> Light | None:
+    async def _light(self, target: object) -> Light | None:
         """What is switched on for a scan: a dark reference is taken without."""
-        return None if target == "dark" else self.instrument.light
+        light = self.instrument.light
+        if light is None or target != "dark":
+            return light
+        await light.off()  # a program that died may have left it on
+        return None
 
     @contextmanager
     def _one_scan(self) -> Generator[None]:

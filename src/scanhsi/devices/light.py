@@ -89,7 +89,11 @@ class Light(Protocol):
         ...
 
     async def close(self) -> None:
-        """Switch off, then close the port. Never raises for a controller that is gone."""
+        """Switch off, then close the port. Never raises for a controller that is gone.
+
+        Raises:
+            DeviceError: It is there, and did not confirm that the light is off. It is closed all the same.
+        """
         ...
 
     async def on(self, level: float | None = None) -> Lit:

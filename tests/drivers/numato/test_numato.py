@@ -86,7 +86,8 @@ def test_a_relay_that_sticks_is_told(module: RelayModule) -> None:
             await light.off()
         assert light.level == 1
 
-    with_light(module, scenario)
+    with pytest.raises(DeviceError, match="stays on"):  # by close, too
+        with_light(module, scenario)
 
 
 def test_a_module_that_does_not_answer_is_not_known_to_be_off(module: RelayModule) -> None:
