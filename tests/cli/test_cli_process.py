@@ -103,3 +103,23 @@ def test_repack_replaces_the_cube(cli: Cli, cubes, tmp_path):
     assert "times smaller" in result.out
     np.testing.assert_array_equal(open_cube(path)["cube"].values, before)
     assert cube_summary(path).attributes["storage"]["codec"] == "lz4"
+
+
+def test_a_scan_makes_its_reflectance_as_it_scans(cli: Cli, cubes, tmp_path):
+    dark = ("--dark", cubes / "dark.zarr", "--bin-bands")
+    scan = ("scan", cubes / "small.toml", "-o", tmp_path / "raw.zarr", "--dark", cubes / "dark.zarr", "--json")
+    result = cli(*scan)
+    assert result.code == 2
+    assert "--reflectance" in result.err
+    result = cli(*scan, "--reflectance", tmp_path / "live.zarr", "--average-bands", "5")
+    assert result.code == 0, result.err
+    assert result.object["processed"]["lines"] == 20
+    assert result.object["processed"]["error"] is None
+    result = cli("process", tmp_path / "raw.zarr", "-o", tmp_path / "followed.zarr", *dark, "5", "--follow")
+    assert result.code == 0, result.err
+    live, followed = open_cube(tmp_path / "live.zarr"), open_cube(tmp_path / "followed.zarr")
+    np.testing.assert_array_equal(live["cube"].values, followed["cube"].values)
+    assert live.attrs["complete"]
+    result = cli(*scan, "--reflectance", tmp_path / "live.zarr")
+    assert result.code == 4
+    assert "exists already" in result.err

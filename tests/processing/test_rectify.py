@@ -12,7 +12,7 @@ from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.reader import open_cube
 from scanhsi.cube.records import LineRecords
 from scanhsi.cube.writer import CubeWriter
-from scanhsi.devices.errors import CalibrationError
+from scanhsi.devices.errors import CalibrationError, CubeExists
 from scanhsi.processing import BinBands, MaskSaturated, process, rectified, rectify
 
 LINES, BANDS, SAMPLES = 121, 3, 90
@@ -177,3 +177,19 @@ def test_a_geotiff_is_where_the_grid_is(tmp_path):
         x, y = raster.xy(5, 7)  # middle of a pixel, in the file's units: metres or mm as the exporter has it
         assert x / y == pytest.approx(grid.x_mm[7] / grid.y_mm[5], rel=1e-6)
         assert raster.shape == (len(grid.y_mm), len(grid.x_mm))
+
+
+def test_what_was_interrupted_goes_on_and_is_not_complete_before(tmp_path):
+    write(tmp_path / "raw.zarr", MODEL)
+    with pytest.raises(ZeroDivisionError):
+        rectify(tmp_path / "raw.zarr", tmp_path / "out.zarr", MODEL, threads=1, progress=lambda *_: 1 // 0)
+    assert open_cube(tmp_path / "out.zarr").attrs["complete"] is False
+    with pytest.raises(CubeExists):
+        rectify(tmp_path / "raw.zarr", tmp_path / "out.zarr", MODEL)
+    with pytest.raises(CubeExists, match="another way"):
+        rectify(tmp_path / "raw.zarr", tmp_path / "out.zarr", MODEL, pitch_mm=0.3, resume=True)
+    rectify(tmp_path / "raw.zarr", tmp_path / "out.zarr", MODEL, resume=True)
+    rectify(tmp_path / "raw.zarr", tmp_path / "whole.zarr", MODEL)
+    out, whole = open_cube(tmp_path / "out.zarr"), open_cube(tmp_path / "whole.zarr")
+    np.testing.assert_array_equal(out["cube"].values, whole["cube"].values)
+    assert out.attrs["complete"] is True

@@ -24,7 +24,7 @@ def processing(
     lines: Annotated[int, typer.Option(metavar="N", min=1, help="Of the raw cube.")] = 1200,
     live_lines: Annotated[
         int, typer.Option(metavar="N", min=1, help="Of the cube that is scanned at full rate.")
-    ] = 600,
+    ] = 1200,
     bands: Annotated[int, typer.Option(metavar="N", min=10)] = 1088,
     samples: Annotated[int, typer.Option(metavar="N", min=10)] = 1200,
     openhsi: Annotated[

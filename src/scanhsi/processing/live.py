@@ -29,7 +29,7 @@ from scanhsi.processing.pipeline import Pipeline
 from scanhsi.processing.signal import Signal
 from scanhsi.processing.steps import Step
 
-_NICER: Final = 10
+_NICER: Final = 19  # it takes what is left
 _WAIT_S: Final = 0.5
 _log = get_logger(__name__)
 

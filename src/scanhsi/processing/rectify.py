@@ -269,6 +269,7 @@ def rectify(
     client: Client | None = None,
     threads: int = 2,
     codec: Codec = "lz4",
+    resume: bool = False,
     progress: Progress | None = None,
     storage_options: Mapping[str, str] | None = None,
 ) -> Grid:
@@ -282,6 +283,7 @@ def rectify(
         client: As of `scanhsi.processing.process`.
         threads: So many, without a cluster.
         codec: Of the new cube.
+        resume: Go on with what an interrupted run left at ``output``.
         progress: Told after every shard.
         storage_options: As of `scanhsi.open_cube`.
 
@@ -310,5 +312,5 @@ def rectify(
         ),
     )
     rewriting = Rewriting(source, Path(output), spec, choose_layout(spec), codec)
-    rewriting.run(client=client, threads=threads, progress=progress)
+    rewriting.run(client=client, threads=threads, resume=resume, progress=progress)
     return grid

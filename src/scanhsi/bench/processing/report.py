@@ -90,16 +90,16 @@ def _disk(rows: dict[str, list[Record]], raw_mb: float, lines: int) -> Iterator[
         yield f"| {name} | {' | '.join(cells)} | {_NOTES[name]} |"
 
 
-def _live(rows: dict[str, list[Record]], _: float, lines: int) -> Iterator[str]:
-    del lines
-    yield "| | late p99 ms | late max ms | lines behind at the end | caught up in s | |"
-    yield "|---|---|---|---|---|---|"
+def _live(rows: dict[str, list[Record]], _: float, _lines: int) -> Iterator[str]:
+    yield f"| | CPU ms a line, of {1e3 / FULL_RATE:.1f} | late p99 ms | late max ms | lines behind at the end | caught up in s | |"
+    yield "|---|---|---|---|---|---|---|"
     for name, runs in rows.items():
-        if (told := _error(name, runs, 5)) is not None:
+        if (told := _error(name, runs, 6)) is not None:
             yield told
             continue
         live = "behind" in runs[0]
         cells = (
+            f"{1e3 * _best(runs, 'cpu_s') / runs[0]['of_lines']:.1f}",
             _spread(runs, "late_p99_ms", ".1f"),
             _spread(runs, "late_max_ms", ".1f"),
             _spread(runs, "behind", ".0f") if live else "–",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import resource
 import shutil
 import time
 from collections.abc import Callable
@@ -115,7 +116,7 @@ def store_paced(given: Given) -> Told:
     """On one core: the raw cube is saved as lines come at the camera's full rate."""
     one_core()
     paced = asyncio.run(write(given.folder / "paced.zarr", given.size, given.frames, FULL_RATE, roll=False))
-    return asdict(paced)
+    return {**asdict(paced), "cpu_s": _cpu_s()}
 
 
 def store_and_process(given: Given) -> Told:
@@ -127,7 +128,7 @@ def store_and_process(given: Given) -> Told:
         following = await Following.start(LiveProcessing(chain(given.size), given.folder / "made.zarr"), raw)
         try:
             paced = await write(raw, given.size, given.frames, FULL_RATE, roll=False)
-            return {**asdict(paced), **asdict(await following.finish())}
+            return {**asdict(paced), **asdict(await following.finish()), "cpu_s": _cpu_s()}
         finally:
             following.abandon()
 
@@ -149,6 +150,12 @@ ROWS: Final[dict[str, Callable[[Given], Told]]] = {
 IN_MEMORY: Final = ("copy lines", "chain", "chain, some saturated", "step by step")
 ON_DISK: Final = ("copy file", "rewrite", "process, 1 thread", "process, 2 threads")
 LIVE: Final = ("store", "store and process")
+
+
+def _cpu_s() -> float:
+    """CPU time of this process, and of those that it started and that have ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def one_core() -> None:

@@ -52,7 +52,7 @@ class Effort:
 
     parts: Sequence[Part] = PARTS
     size: Size = field(default_factory=Size)
-    live_lines: int = 600
+    live_lines: int = 1200
     repetitions: int = 3
     openhsi: Path | None = None
 
@@ -78,13 +78,20 @@ def run_session(effort: Effort, output: Path, *, tell: Callable[[str], None] = l
     add("session", schema=SCHEMA, **provenance(), size=asdict(effort.size), load=os.getloadavg())
     with tempfile.TemporaryDirectory(prefix="bench-processing-", dir=output) as scratch:
         folder = Path(scratch).resolve()
-        _prepare(effort, folder)
+        prepare(effort, folder)
         for part in effort.parts:
             rows = {"memory": IN_MEMORY, "disk": ON_DISK, "live": LIVE}[part]
             size = Size(effort.live_lines, effort.size.bands, effort.size.samples) if part == "live" else effort.size
             for turn in range(effort.repetitions):
                 for row in rows:
-                    add("row", part=part, row=row, repetition=turn, load=os.getloadavg()[0], **_run(row, size, folder))
+                    about = {
+                        "part": part,
+                        "row": row,
+                        "repetition": turn,
+                        "of_lines": size.lines,
+                        "load": os.getloadavg()[0],
+                    }
+                    add("row", **about, **_run(row, size, folder))
                 if part == "memory" and effort.openhsi is not None and _PEER.exists():
                     for row in OPENHSI:
                         add("row", part=part, row=row, repetition=turn, **_run_peer(effort.openhsi, row, folder))
@@ -92,8 +99,8 @@ def run_session(effort: Effort, output: Path, *, tell: Callable[[str], None] = l
     return records
 
 
-def _prepare(effort: Effort, folder: Path) -> None:
-    """Frames; and where it is needed a raw cube, and its pixels as one file, which is what is copied beside it."""
+def prepare(effort: Effort, folder: Path) -> None:
+    """Make what rows need: frames, and where it is needed a raw cube, and its pixels as the file that is copied beside it."""
     size = effort.size
     frames = synthetic_lines(size.bands, size.samples, _FRAMES)
     np.save(folder / FRAMES, frames)
