@@ -18,7 +18,7 @@ from scanhsi.calibration.view import view
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.reader import open_cube
 from scanhsi.devices.errors import CalibrationError, CubeError, NotACube
-from support.colours import checkers, delta_e, expected_xyz, srgb_to_xyz
+from support.colours import adapted, checkers, delta_e, expected_xyz, srgb_to_xyz, white_xyz
 from support.cubes import write_cube
 
 WAVELENGTH = np.linspace(371, 950, 218)
@@ -152,3 +152,57 @@ def test_cubes_on_disk(tmp_path: Path) -> None:
     clock.run(write_cube(tmp_path / "empty.zarr", spec, reach=0), virtual=True)
     with pytest.raises(CubeError, match="holds no line"):
         view(tmp_path / "empty.zarr")
+
+
+def reflectance_cube(values: np.ndarray, **coordinates: Any) -> xr.Dataset:
+    cube = dataset(np.nan_to_num(values))
+    cube["cube"] = (("band", "line", "sample"), values.astype(np.float32), {"long_name": "reflectance"})
+    return cube.assign_coords(coordinates)
+
+
+def test_reflectance_has_its_own_colours_under_any_light() -> None:
+    values, spectra = chart()
+    values[:, 3] = np.nan  # a line that was stored, and holds no number
+    values[40, 14, 5] = np.nan  # a hot pixel
+    look = view(reflectance_cube(0.5 * values), spectra=50, light="A")
+    assert look.colour_note == "CIE 1931, A; of the reflectance"
+    assert np.isnan(look.colour[3]).all()
+    assert np.isfinite(np.delete(look.colour, 3, axis=0)).all()
+    assert look.spectra is not None
+    assert 3 not in look.spectra.lines
+    white = adapted(0.5 * white_xyz("A"), "A")
+    assert delta_e(srgb_to_xyz(look.colour[0, 0]), white) < 0.1
+    grey = spectra[21]
+    seen = srgb_to_xyz(look.colour[PATCH : 2 * PATCH, 21 * PATCH : 22 * PATCH].mean(axis=(0, 1)))
+    assert delta_e(seen, adapted(0.5 * expected_xyz(grey, "A"), "A")) < 0.1
+    assert view(reflectance_cube(values)).out_of_gamut == pytest.approx(1 / 72, rel=0.05)  # cyan
+
+
+def test_ratio_regions_and_places_of_a_rectified_cube(tmp_path: Path) -> None:
+    values, _ = chart()
+    x, y = np.linspace(-7, 7, values.shape[2]), np.linspace(8, -8, values.shape[1])
+    cube = reflectance_cube(values, x=("sample", x), y=("line", y))
+    look = view(
+        cube, band_nm=800, ratio_nm=600, spectra=5, regions=[(slice(0, 5), slice(0, 9)), (slice(14, 15), slice(7, 8))]
+    )
+    assert look.band_name == "801 nm / 600 nm"
+    assert look.band_quantity == "ratio"
+    near = [int(np.abs(WAVELENGTH - nm).argmin()) for nm in (800, 600)]
+    np.testing.assert_allclose(look.band[14], values[near[0], 14] / values[near[1], 14], rtol=1e-6)
+    assert np.isnan(look.band[-1]).all()  # black over black
+    low, high = look.band_range
+    assert low < 1 < high  # white is in it
+    half = 7 / (values.shape[2] - 1)
+    assert look.extent_mm is not None
+    np.testing.assert_allclose(look.extent_mm[:2], (-7 - half, 7 + half))
+    assert look.extent_mm[3] > 8 > -8 > look.extent_mm[2]
+    assert [int(region.count[0]) for region in look.regions] == [45, 1]
+    np.testing.assert_allclose(look.regions[1].mean, values[:, 14, 7], rtol=1e-6)
+    assert save_view(look, tmp_path / "a.pdf", title="a.zarr").read_bytes().startswith(b"%PDF")
+    with pytest.raises(CubeError, match="no wavelengths"):
+        view(dataset(values, None), ratio_nm=600)
+
+
+def test_part_of_the_visible_spectrum_gives_no_true_colours() -> None:
+    values, _ = chart(np.linspace(600, 950, 218))
+    assert not view(dataset(values, np.linspace(600, 950, 218))).true_colour

@@ -44,6 +44,7 @@ _LONGEST_SIDE: Final = 1000
 _GROUP_NM: Final = 10.0
 _NEEDED_NM: Final = (450.0, 650.0)  # a cube that begins or ends between them has no true colours
 _PERCENTILES: Final = (1.0, 99.5)
+_RATIO_SPREADS: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +59,7 @@ class View:
         band: (rows, columns) float32, means, or their ratio; nan where nothing is known.
         band_name: Which band it is (``"803 nm"``).
         quantity: What the cube's numbers are: counts, reflectance.
+        band_range: From black to white in the picture of it.
         band_quantity: What those of ``band`` are: the same, or ratio.
         wavelength_nm: (bands,); None where not calibrated.
         missing: (lines,) bool, lines without pixels.
@@ -75,6 +77,7 @@ class View:
     out_of_gamut: float
     band: Floats32
     band_name: str
+    band_range: tuple[float, float]
     quantity: str
     band_quantity: str
     wavelength_nm: Floats | None
@@ -135,14 +138,16 @@ def view(
         wanted.append(Means.of(below))
         band_name = f"{band_name} / {below_name}"
     planes = shrink(dataset, wanted, binning)
+    band = planes[1][0] if ratio_nm is None else ratio_of(planes[1][0], planes[2][0]).astype(np.float32)
     colour, note, beyond = colouring.paint(planes[0], white, binning, name)
     return View(
         colour=colour,
         true_colour=colouring.weights is not None,
         colour_note=note,
         out_of_gamut=beyond,
-        band=planes[1][0] if ratio_nm is None else ratio_of(planes[1][0], planes[2][0]).astype(np.float32),
+        band=band,
         band_name=band_name,
+        band_range=_band_range(band) if ratio_nm is None else _ratio_range(band, planes[2][0]),
         quantity=quantity,
         band_quantity=quantity if ratio_nm is None else "ratio",
         wavelength_nm=wavelength,
@@ -206,7 +211,7 @@ class _Colouring:
             xyz = np.moveaxis(planes, 0, -1).astype(np.float64)
         else:
             weights = self.weights / span[:, None]  # reflectance is (counts - black) / span
-            xyz = np.tensordot(planes, weights, axes=(0, 0)) - black @ weights
+            xyz = np.tensordot(planes, weights.astype(np.float32), axes=(0, 0)) - black @ weights
         linear = colours.xyz_to_linear(xyz, self.weights.sum(axis=0))
         known = np.isfinite(linear).all(axis=-1)
         beyond = float(colours.out_of_gamut(linear[known]).mean()) if known.any() else 0.0
@@ -222,6 +227,31 @@ def _band(wavelength: Floats | None, bands: int, nm: float) -> tuple[slice, str]
     nearest = float(wavelength[np.abs(wavelength - nm).argmin()])
     name = f"{nearest:.0f} nm" if abs(nearest - nm) < _GROUP_NM else f"{nearest:.0f} nm (nearest to {nm:g} nm)"
     return bands_near(wavelength, nm), name
+
+
+def _band_range(band: Floats32) -> tuple[float, float]:
+    known = band[np.isfinite(band)]
+    if not known.size:
+        return 0.0, 1.0
+    low, high = np.percentile(known, _PERCENTILES).tolist()
+    return low, max(high, low + 1e-3)
+
+
+def _ratio_range(ratio: Floats32, below: Floats32) -> tuple[float, float]:
+    """Around the median by light: the ratios of what is dark spread widely, and say least."""
+    known = np.isfinite(ratio)
+    if not known.any():
+        return 0.0, 1.0
+    values, weight = ratio[known].astype(np.float64), below[known].astype(np.float64)
+    middle = _median(values, weight)
+    spread = max(_RATIO_SPREADS * _median(np.abs(values - middle), weight), 1e-3)
+    return max(middle - spread, float(values.min())), min(middle + spread, float(values.max())) + 1e-6
+
+
+def _median(values: Floats, weight: Floats) -> float:
+    order = np.argsort(values)
+    summed = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(summed, summed[-1] / 2)]])
 
 
 def _references(

@@ -16,7 +16,7 @@ from scanhsi.cube.spectra import stored
 
 Floats = NDArray[np.float32]
 
-_BLOCK_BYTES: Final = 64_000_000
+_BLOCK_BYTES: Final = 32_000_000
 _CACHE_BYTES: Final = 4_000_000
 _BRIDGED: Final = 0.05
 

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 CHANNEL_NM: Final = 2.7
 """Width of a channel of the paper: five rows of its sensor."""
 
-_BLOCK_BYTES: Final = 32_000_000
+_BLOCK_BYTES: Final = 16_000_000
 _TRIES: Final = 4
 
 
@@ -101,11 +101,13 @@ def region_spectrum(dataset: xr.Dataset, lines: slice = slice(None), samples: sl
     around: Floats | None = None
     for block in _blocks(dataset, here, slice(left, right)):
         pixels = block.reshape(bands, -1)
-        good = np.isfinite(pixels)
+        gaps = ~np.isfinite(pixels) if dataset["cube"].dtype.kind == "f" else np.zeros(pixels.shape, bool)
         if around is None:  # sums of squares around it lose no digits
-            around = np.array([row[ok][0] if ok.any() else 0.0 for row, ok in zip(pixels, good, strict=True)])
-        away = np.where(good, pixels - around[:, None], 0.0)
-        count += good.sum(axis=1)
+            around = np.array([row[~gap][0] if not gap.all() else 0.0 for row, gap in zip(pixels, gaps, strict=True)])
+        away = pixels - around[:, None]
+        if gaps.any():
+            away[gaps] = 0.0
+        count += pixels.shape[1] - gaps.sum(axis=1)
         total += away.sum(axis=1)
         squares += np.einsum("bp,bp->b", away, away)
     assert around is not None, "there is a line"
@@ -116,13 +118,17 @@ def region_spectrum(dataset: xr.Dataset, lines: slice = slice(None), samples: sl
 
 
 def _blocks(dataset: xr.Dataset, lines: NDArray[np.intp], samples: slice) -> Iterator[Floats]:
-    """Some lines at a time, (band, line, sample) float64; neighbours are read as a slice."""
+    """Some lines at a time, (band, line, sample) float64. What lies in one chunk is read at once, and made floats in parts."""
     cube = dataset["cube"].isel(sample=samples)
-    at_once = max(1, _BLOCK_BYTES // (8 * cube.sizes["band"] * max(1, cube.sizes["sample"])))
-    for some in np.split(lines, range(at_once, len(lines), at_once)):
+    chunk = int((cube.encoding.get("chunks") or (1, 1, 1))[1])
+    line_bytes = 8 * cube.sizes["band"] * max(1, cube.sizes["sample"])
+    together = chunk * max(1, _BLOCK_BYTES // (line_bytes * chunk))
+    part = max(1, _BLOCK_BYTES // line_bytes)
+    for some in np.split(lines, np.flatnonzero(np.diff(lines // together)) + 1):
         even = some[-1] - some[0] == len(some) - 1
-        block = cube.isel(line=slice(int(some[0]), int(some[-1]) + 1) if even else some)
-        yield np.asarray(block.values, np.float64)
+        block = np.asarray(cube.isel(line=slice(int(some[0]), int(some[-1]) + 1) if even else some).values)
+        for first in range(0, len(some), part):
+            yield block[:, first : first + part].astype(np.float64)
 
 
 def random_spectra(dataset: xr.Dataset, count: int = 100, *, seed: int = 0) -> Spectra:

@@ -82,14 +82,12 @@ def _show_colour(axes: Axes, look: View, extent: Extent, stretch: Any) -> None:
 
 
 def _show_band(axes: Axes, look: View, extent: Extent, stretch: Any) -> None:
-    known = look.band[np.isfinite(look.band)]
-    low, high = (float(level) for level in np.percentile(known, [1, 99.5])) if known.size else (0.0, 1.0)
-    least = 1.0 if look.band_quantity == "counts" else 1e-3
+    low, high = look.band_range
     image = axes.imshow(
         np.ma.masked_invalid(look.band),
         cmap="gray",
         vmin=low,
-        vmax=max(high, low + least),
+        vmax=high,
         extent=extent,
         aspect=stretch,
     )
@@ -172,7 +170,7 @@ def _show_spectra(axes: Axes, look: View) -> None:
     axes.set_ylabel(look.quantity)
     axes.legend(
         handles=handles,
-        ncols=4,
+        ncols=3,
         fontsize=6.5,
         columnspacing=1.2,
         loc="lower right",
