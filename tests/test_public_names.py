@@ -15,6 +15,7 @@ def test_every_public_name_exists_and_nothing_else_is_promised() -> None:
         "Imager",
         "Mode",
         "Progress",
+        "ScanControl",
         "ScanFailed",
         "ScanPlan",
         "ScanReport",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scanhsi.cube.drain import drain
     from scanhsi.cube.exchange import export_cube, import_cube
     from scanhsi.devices.errors import ConfigError, CubeError, DeviceError, ScanFailed, ScanhsiError
-    from scanhsi.engine import Mode, Progress, ScanPlan, ScanReport
+    from scanhsi.engine import Mode, Progress, ScanControl, ScanPlan, ScanReport
     from scanhsi.imager import Imager, open_instrument
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "Imager",
     "Mode",
     "Progress",
+    "ScanControl",
     "ScanFailed",
     "ScanPlan",
     "ScanReport",
@@ -46,7 +47,7 @@ _HOMES = {
     "scanhsi.cube.drain": ("drain",),
     "scanhsi.cube.exchange": ("export_cube", "import_cube"),
     "scanhsi.devices.errors": ("ConfigError", "CubeError", "DeviceError", "ScanFailed", "ScanhsiError"),
-    "scanhsi.engine": ("Mode", "Progress", "ScanPlan", "ScanReport"),
+    "scanhsi.engine": ("Mode", "Progress", "ScanControl", "ScanPlan", "ScanReport"),
     "scanhsi.imager": ("Imager", "open_instrument"),
 }
 
