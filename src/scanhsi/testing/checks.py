@@ -98,6 +98,9 @@ def _wrong_exception(outcome: Outcome) -> Iterator[str]:
     expected = ScanFailed if outcome.witness.moved and outcome.stage == "scan" else ScanhsiError
     if not isinstance(error, expected):
         yield f"{type(error).__name__} instead of {expected.__name__}: {error}"
+    for cause in error.causes if isinstance(error, ScanFailed) else ():
+        if not isinstance(cause, ScanhsiError):  # a bug, however well it is wrapped
+            yield f"{type(cause).__name__} as a cause: {cause}"
 
 
 def _memory(outcome: Outcome) -> Iterator[str]:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from contextvars import Context
+from random import Random
 from typing import Any, Final, TypeVar, TypeVarTuple, Unpack
 
 from scanhsi.clock import VirtualTimeLoop
@@ -17,6 +18,7 @@ from scanhsi.testing.faults import Fault, Faults, Kind
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 
+_WAKING_S: Final = 0.0005
 _OF_CALLBACKS: Final = (Kind.LOOP_STALLS, Kind.PAUSED, Kind.STOP_REQUESTED, Kind.CANCELLED)
 
 
@@ -42,6 +44,7 @@ class FaultyLoop(VirtualTimeLoop):
         self._watched: asyncio.Task[Any] | None = None
         self._control = ScanControl()
         self._job_s = 0.0
+        self._waking = Random(faults.plan.seed)
         super().__init__(inline=True)
 
     def watch(self, task: asyncio.Task[Any], control: ScanControl) -> None:
@@ -76,18 +79,40 @@ class FaultyLoop(VirtualTimeLoop):
         else:
             self.cancellations += task.cancel()
 
-    # Blocking work that says how long it takes
+    # Blocking work, at the latest moment at which a thread could do it
 
     def job_takes(self, for_s: float) -> None:
         """The job that runs now takes so much longer, on the virtual clock: what a slow write calls instead of sleeping."""
         self._job_s += for_s
 
     def run_blocking(self, cost_s: float, fn: Callable[[Unpack[Ts]], T], *args: *Ts) -> asyncio.Future[T]:
-        """As of the virtual loop, plus what the job itself says."""
+        """As of the virtual loop, but it is done at the end of its time, so that memory given away too early is seen to change.
+
+        Work that costs nothing begins some hundred microseconds later, as a thread does that has to wake up.
+        """
+        future: asyncio.Future[T] = self.create_future()
+        waits_s = cost_s or self._waking.uniform(0.0, _WAKING_S)
+        self.call_later(waits_s, self._run_job, future, fn, args)
+        return future
+
+    def _run_job(self, future: asyncio.Future[Any], fn: Callable[..., Any], args: tuple[Any, ...]) -> None:
         self._job_s = 0.0
-        job = self._submit(None, fn, *args)
-        self.call_at(self.time() + cost_s + self._job_s, self._jobs.append, job)
-        return job.future
+        result, problem = None, None
+        try:
+            result = fn(*args)
+        except Exception as error:
+            problem = error
+        took_s, self._job_s = self._job_s, 0.0
+        self.call_later(took_s, _deliver, future, result, problem)
+
+
+def _deliver(future: asyncio.Future[Any], result: object, problem: Exception | None) -> None:
+    if future.done():  # cancelled meanwhile
+        return
+    if problem is not None:
+        future.set_exception(problem)
+    else:
+        future.set_result(result)
 
 
 EPOCH_NS: Final = 1_800_000_000_000_000_000
