@@ -76,7 +76,9 @@ def test_a_whole_session(browser: Any, service: str, data: Path, size: str) -> N
 
         _go(page, "references")
         page.get_by_role("button", name="Take dark").click()
-        page.get_by_text("Fits the settings of now.").first.wait_for(timeout=60_000)
+        page.get_by_text("calibration: dark").wait_for()
+        page.get_by_text("Done.").wait_for(timeout=60_000)
+        page.get_by_text("Fits the settings of now.").first.wait_for()
         _picture(page, f"{size}-references")
 
         _go(page, "plan")

@@ -76,8 +76,14 @@ function open(element, page) {
     if (state.info.mirror.step === null || !state.info.mirror.homed) {
       if (!(await ask("The mirror will look for home", [h("p", "It turns, then the scan begins. Is the way clear?")], { yes: "Scan" }))) return;
     }
+    const before = title.textContent;
     title.textContent = `Starting: ${facts}`;
-    await post("/scans", planOf(plan));
+    try {
+      await post("/scans", planOf(plan));
+    } catch (error) {
+      title.textContent = before;
+      throw error;
+    }
   };
 
   page.on("job", draw);
