@@ -38,6 +38,7 @@ async function show() {
   // What a screen listens to ends with it.
   screen.open(element, { on: (kind, listener) => ended.push(on(kind, listener)), ended: (end) => ended.push(end) });
   tell("state", state.info);
+  if (state.frame) tell("frame", state.frame);
 }
 
 function bar() {
