@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 import pytest
-from fake_camera import FakeCamera
+
+from support.genicam_fake import FakeCamera
 
 
 @pytest.fixture(scope="module")

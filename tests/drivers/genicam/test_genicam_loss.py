@@ -1,12 +1,12 @@
 """Lost packets and a lost camera: each test has a fake of its own, for there is one address."""
 
 import pytest
-from fake_camera import FakeCamera
 from genicam_helpers import scan, with_camera
 
 from scanhsi.devices import Frame, FrameGap
 from scanhsi.devices.errors import DeviceLost
 from scanhsi_genicam import GenicamCamera
+from support.genicam_fake import FakeCamera
 
 
 @pytest.mark.twin

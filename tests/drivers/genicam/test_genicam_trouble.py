@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from fake_camera import FakeCamera
 from genicam_helpers import scan, with_camera
 
 from scanhsi.devices import CameraSettings, Frame, PixelFormat, Roi, Trigger
@@ -18,6 +17,7 @@ from scanhsi.devices.errors import (
 )
 from scanhsi_genicam import GenicamCamera
 from scanhsi_genicam.errors import classify
+from support.genicam_fake import FakeCamera
 
 
 @pytest.mark.twin

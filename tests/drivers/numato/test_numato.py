@@ -6,12 +6,12 @@ from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
-from relay_peer import RelayModule
 
 from scanhsi.clock import run
 from scanhsi.devices.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceTimeout, ProtocolError
 from scanhsi.testing.conformance import LightConformance
 from scanhsi_numato import NumatoLight, NumatoOptions
+from support.relay_module import RelayModule
 
 Scenario = Callable[[NumatoLight], Awaitable[None]]
 

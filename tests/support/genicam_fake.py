@@ -15,6 +15,9 @@ class FakeCamera:
     """A running fake at 127.0.0.1. `dropped`: (block, packet) pairs that it never sends."""
 
     def __init__(self, dropped: list[tuple[int, int]] | None = None) -> None:
+        from scanhsi_sim.twins.netns import require_private_network  # here: the process of the fake shall start quickly
+
+        require_private_network()
         self.process = subprocess.Popen(
             [sys.executable, __file__, repr(dropped or [])], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -43,9 +46,6 @@ class FakeCamera:
 def main() -> None:
     from viva_genicam.testing import FakeGigeCamera
 
-    from scanhsi_sim.twins.netns import require_private_network
-
-    require_private_network()
     dropped = literal_eval(sys.argv[1])
     fake = FakeGigeCamera(width=640, height=480, fps=120, packet_resend=not dropped, drop_packets=dropped)
     fake.start()
