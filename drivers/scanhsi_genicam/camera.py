@@ -142,7 +142,7 @@ class GenicamCamera:
             await self._run(self._session.stop)
         finally:
             armed.finish()
-        self._armed = self._watcher = None
+            self._armed = self._watcher = None
 
     # -- helpers
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from genicam_helpers import scan, with_camera
+from genicam_helpers import SETTINGS, scan, with_camera
 
 from scanhsi.devices import CameraSettings, Frame, PixelFormat, Roi, Trigger
 from scanhsi.devices.errors import (
@@ -85,9 +85,14 @@ def test_control_taken_away_is_a_lost_camera(fake: FakeCamera) -> None:
             await scan(camera)
         with pytest.raises(DeviceLost):
             await camera.expose()
+        await camera.close()
+        await camera.connect()
+        await camera.configure(SETTINGS)
+        await camera.arm(Trigger.SOFTWARE, 4)
+        await camera.expose()
+        assert isinstance(await anext(camera.frames()), Frame)
 
     with_camera(scenario)
-    with_camera(lambda camera: camera.expose())  # and it can be opened anew
 
 
 @pytest.mark.parametrize(
