@@ -34,7 +34,7 @@ def plane(provenance: Provenance = MADE) -> Geometry:
 @pytest.mark.parametrize(
     ("change", "limits", "why", "way_out"),
     [
-        ({"gain_db": 6.0}, Limits(), r"gain_db 3\.0 instead of 6\.0", "take a new dark model"),
+        ({"gain_db": 6.0}, Limits(), r"gain_db 3\.0 instead of 6\.0", "take a new dark model like this"),
         ({"pixel_format": "Mono8"}, Limits(), "pixel_format Mono12 instead of Mono8", "take a new"),
         ({"roi": {**ROI, "sample_offset": 5}}, Limits(), "roi .* instead of", "take a new"),
         ({"binning": {"bands": 5, "samples": 1}}, Limits(), "binning .* instead of", "take a new"),

@@ -93,14 +93,16 @@ def test_in_a_target_that_repeats_the_smallest_lag_is_meant() -> None:
 def test_displacements_from_scan_to_scan_and_those_too_large_to_tell() -> None:
     rng = np.random.default_rng(4)
     steps: Floats = np.linspace(-200, 200, 11)
-    moved = rng.normal(0, 0.8, (6, 11))
+    moved = rng.normal(0, 0.9, (6, 11))
+    moved[3:] += 2.4  # so that some lie more than half a period from others
+    assert np.ptp(moved, axis=0).max() > 8.9 / 2
     scans = [stripes(rng, steps + one, 0.0) for one in moved]
-    found = repeated_displacements(scans) * 8.9
+    found = np.concatenate(repeated_displacements(scans[:3], scans[3:])) * 8.9
     np.testing.assert_allclose(found, moved - moved.mean(axis=0), atol=0.03)
     with pytest.raises(CalibrationError, match="half a period"):
-        repeated_displacements([stripes(rng, steps + one, 0.0) for one in (-2.1, 2.1)])
+        repeated_displacements([stripes(rng, steps - 2.1, 0.0)], [stripes(rng, steps + 2.1, 0.0)])
     with pytest.raises(CalibrationError, match="differ in lines"):
-        repeated_displacements([scans[0], scans[1][:-1]])
+        repeated_displacements(scans[:1], [scans[1][:-1]])
 
 
 def test_the_turn_of_a_shaft_is_found_and_none_where_there_is_none() -> None:

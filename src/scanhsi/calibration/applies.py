@@ -93,7 +93,9 @@ def check_applies(
     provenance = result.provenance
     shared = tuple(name for name in use.shared if region or name != "roi")
     reasons = conditions.differences(provenance.conditions, exposure=False, only=shared)
-    hints = [f"take a new {use.name}"] if reasons else [f"take a new {use.name} to be sure"]
+    hints = [
+        f"take a new {use.name} like this, or measure like the {use.name}" if reasons else f"take a new {use.name}"
+    ]
     if (
         old := _too_old(provenance.taken, conditions.taken, use.max_age if limits.max_age is None else limits.max_age)
     ) is not None:

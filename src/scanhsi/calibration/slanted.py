@@ -23,7 +23,8 @@ _PADDING: Final = 16  # of spectra, so that a frequency between two of theirs is
 _STANDS_OUT: Final = 8.0  # times the median of the spectrum
 _LEAST_LINES: Final = 16
 _LEAST_SAMPLES: Final = 16
-_ALIKE: Final = 0.3  # mean resultant of scans: with less, lines may as well lie off to the other side
+_FARTHEST: Final = 0.4  # of a period between the directions: with more, it may as well be less to the other side
+_ALIKE: Final = 0.3  # mean resultant of the scans: with less, lines scatter over the whole period
 
 
 def displacements(lines: NDArray[np.floating], slope: float, sample_pitch_mm: float) -> Floats:
@@ -53,32 +54,43 @@ def displacements(lines: NDArray[np.floating], slope: float, sample_pitch_mm: fl
     return -phase * period / (2 * np.pi) * sample_pitch_mm * slope
 
 
-def repeated_displacements(scans: Sequence[NDArray[np.floating]]) -> Floats:
+def repeated_displacements(
+    upwards: Sequence[NDArray[np.floating]], downwards: Sequence[NDArray[np.floating]]
+) -> tuple[Floats, Floats]:
     """Displacement of each line of each scan from where the mean of all scans sees it.
 
+    Phases are told up to a turn. So the lag of the scans downwards, which is much the same for all lines, is found first, and each
+    line is sought around its own direction.
+
     Args:
-        scans: (line, sample) each, one band of the slanted target, of the same steps in the same order.
+        upwards: (line, sample) each, one band of the slanted target, of the same steps in the same order.
+        downwards: The same steps, in the same order, approached from above.
 
     Returns:
-        (scan, line) in periods of the target along the scan: positive where a line lies further in the direction in which the
-        target's lines rise for growing samples.
+        (scan, line) of either, in periods of the target along the scan: positive where a line lies further in the direction in
+        which the target's lines rise for growing samples.
 
     Raises:
-        CalibrationError: No lines to be seen, sizes that differ, or displacements that come near to half a period.
+        CalibrationError: No lines to be seen, sizes that differ, or displacements too large for the period of the target.
     """
-    if len({np.shape(scan) for scan in scans}) != 1:
+    if len({np.shape(scan) for scan in (*upwards, *downwards)}) != 1:
         raise CalibrationError("the scans differ in lines or samples.", hint="scan the same steps every time")
-    wave, _ = _waves(scans)
+    wave, _ = _waves([*upwards, *downwards])
     turned = wave / np.abs(wave)
+    down = np.arange(len(turned)) >= len(upwards)
+    lag = float(np.angle(np.sum(turned[down].mean(axis=0) * np.conj(turned[~down].mean(axis=0)))))
+    turned[down] *= np.exp(-1j * lag)
     common = turned.mean(axis=0)
-    if float(np.abs(common).mean()) < _ALIKE:
+    if abs(lag) > _FARTHEST * 2 * np.pi or float(np.abs(common).mean()) < _ALIKE:
         raise CalibrationError(
             "lines lie almost half a period of the target apart from scan to scan: by how much they do is ambiguous.",
             hint="a target with wider lines",
         )
     phase = np.angle(turned * np.conj(common))
-    phase -= phase.mean(axis=0)  # the mean of unit vectors is not quite the mean of angles
-    return -phase / (2 * np.pi)
+    phase[down] += lag
+    phase -= phase.mean(axis=0)
+    moved = -phase / (2 * np.pi)
+    return moved[~down], moved[down]
 
 
 def _waves(scans: Sequence[NDArray[np.floating]]) -> tuple[Waves, float]:

@@ -162,11 +162,10 @@ def repeatability_from_cubes(
     ups, downs = _ways(pictures)
     common = _common_steps(pictures)
     plane = plane or pictures[0].plane
-    moved = repeated_displacements(_at([*ups, *downs], common))
+    moved = repeated_displacements(_at(ups, common), _at(downs, common))
     slope = plane.y_mm(common + 0.5) - plane.y_mm(common - 0.5)  # mm a step, with its sign
-    places = moved * along_scan(slant_deg, period_mm) / slope
-    runs = len(ups)
-    return repeatability(places[:runs], places[runs:], common, _step_mm(plane), provenance_of(opened(cubes), cubes))
+    up, down = (one * along_scan(slant_deg, period_mm) / slope for one in moved)
+    return repeatability(up, down, common, _step_mm(plane), provenance_of(opened(cubes), cubes))
 
 
 def _common_steps(pictures: Sequence[TargetPicture]) -> Floats:
