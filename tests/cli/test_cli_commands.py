@@ -18,11 +18,7 @@ from scanhsi.engine import Progress
 from scanhsi.instrument.schema import schema
 from support.command_line import Cli
 
-COMMANDS = sorted(
-    command.name or command.callback.__name__
-    for command in app.registered_commands
-    if command.callback and not command.hidden
-)
+COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands if command.callback)
 
 
 def test_the_commands() -> None:

@@ -41,7 +41,7 @@ def test_the_picture_is_named_after_the_cube(
     monkeypatch.chdir(tmp_path)
     assert cli("view", f"{cube}/", "--spectra", 0).code == 0
     assert (tmp_path / "a.png").exists()
-    assert cli("quicklook", cube, "-o", "b.pdf", "--illuminant", "3200 K").code == 0
+    assert cli("view", cube, "-o", "b.pdf", "--illuminant", "3200 K").code == 0
     assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
 
 

@@ -16,9 +16,8 @@ _ENDINGS = (".png", ".pdf", ".svg")
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command; ``quicklook`` is its former name."""
+    """Add the command."""
     app.command()(view)
-    app.command("quicklook", hidden=True)(view)
 
 
 def view(
