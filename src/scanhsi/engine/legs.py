@@ -57,6 +57,8 @@ async def _lead(scan: Scan, take_leg: TakeLeg) -> list[BaseException]:
             failures, cancelled = await finish(take_leg())
             if cancelled:
                 raise BaseExceptionGroup("while being cancelled", failures) if failures else asyncio.CancelledError
+            if not (scan.over or failures):  # a pause ended it, which may be over already
+                failures = await _pause(scan)
         if failures:
             failures = await recover(scan, failures)
     await clean_up(leave_safe(scan) if failures else lights_off(scan))  # now, for the writer may take its time
