@@ -49,6 +49,21 @@ class Showing:
     lines_per_row: int = 1
 
 
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A line that passed.
+
+    Attributes:
+        line: Its number.
+        received_ns: When its frame was in memory, loop clock.
+        pixels: A copy; None where only the colour picture is wanted.
+    """
+
+    line: int
+    received_ns: int
+    pixels: Pixels | None
+
+
 class Viewer:
     """Somebody who looks; made by `Preview.viewing`."""
 
@@ -152,7 +167,6 @@ class Preview:
 
     def watch(self, line: int, pixels: Pixels, records: LineRecords) -> None:
         """See a line pass; see `scanhsi.cube.watched.Watch`."""
-        del records
         showing = self._showing
         if showing is None:
             return
@@ -166,40 +180,42 @@ class Preview:
         if wanted or self._thin:
             self._last_ns = now if wanted else self._last_ns
             copy = pixels.copy() if wanted else None
-            self._making = asyncio.get_running_loop().create_task(self._make(showing, line, copy), name="preview")
+            seen = Seen(line, int(records.stamps["received"][line]), copy)
+            self._making = asyncio.get_running_loop().create_task(self._make(showing, seen), name="preview")
 
     async def finish(self) -> None:
         """What passed before is made visible."""
         while self._making is not None:
             await asyncio.wait([self._making])
         if self._thin and self._showing is not None:
-            await self._make(self._showing, self._showing.lines, None)
+            await self._make(self._showing, Seen(self._showing.lines, 0, None))
 
-    async def _make(self, showing: Showing, line: int, frame: Pixels | None) -> None:
+    async def _make(self, showing: Showing, seen: Seen) -> None:
         thin, self._thin = self._thin, []
         try:
-            view, rows = await self._background.run(_made, showing, thin, frame, self._previous)
+            view, rows = await self._background.run(_made, showing, thin, seen.pixels, self._previous)
         finally:
             self._making = None
         if showing is not self._showing:
             return
         if view is not None:
-            self._previous = frame
-            self._show(showing, line, view)
+            self._previous = seen.pixels
+            self._show(showing, seen, view)
         if rows is not None:  # a row whose line was lost stays black
             self._picture[[row for row, _ in thin]] = rows
             self.rows_made = thin[-1][0] + 1
         for viewer in self._viewers:
             viewer.news.set()
 
-    def _show(self, showing: Showing, line: int, view: FrameView) -> None:
+    def _show(self, showing: Showing, seen: Seen, view: FrameView) -> None:
         self.frame_seq += 1
         self.facts = {
             "kind": "frame",
             "seq": self.frame_seq,
             "t_ns": now_ns(),
             "of": showing.name,
-            "line": line,
+            "line": seen.line,
+            "received_ns": seen.received_ns,
             "exposure_s": showing.exposure_s,
             "dtype": "u8",
             "shape": list(view.picture.shape),
