@@ -143,15 +143,21 @@ class _TextFormatter(logging.Formatter):
         super().__init__("%(asctime)s.%(msecs)03d %(levelname)-7s %(message)s", datefmt="%H:%M:%S")
 
 
+def as_json(record: logging.LogRecord) -> dict[str, Any]:
+    """An event with its context, plain JSON types."""
+    event: dict[str, Any] = getattr(record, _EVENT, {"event": record.getMessage()})
+    whole = {
+        "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="microseconds"),
+        "level": record.levelname.lower(),
+        "logger": record.name,
+        **event,
+    }
+    return cast("dict[str, Any]", json.loads(json.dumps(whole, default=str)))
+
+
 class _JsonFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        event: dict[str, Any] = getattr(record, _EVENT, {"event": record.getMessage()})
-        whole = {
-            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="microseconds"),
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            **event,
-        }
+        whole = as_json(record)
         if record.exc_info:
             whole["exception"] = self.formatException(record.exc_info)
         return json.dumps(whole, default=str, ensure_ascii=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import signal
 import socket
 from collections.abc import Callable, Generator
@@ -15,9 +16,10 @@ import uvicorn
 from scanhsi.devices.errors import ConfigError
 from scanhsi.imager import open_instrument
 from scanhsi.instrument import InstrumentConfig
+from scanhsi.log import as_json
 from scanhsi.service.app import create_app
 from scanhsi.service.security import LARGEST_BODY, Security
-from scanhsi.service.station import open_station
+from scanhsi.service.station import Station, open_station
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, tol
                 ssl_keyfile=serving.key,
             )
         )
-        with _ended_by_signals(server):
+        with _ended_by_signals(server), _log_told(station):
             told(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}")
             await server.serve(sockets=[listening])
 
@@ -101,6 +103,30 @@ def _listen(serving: Serving) -> socket.socket:
             f"cannot listen on {serving.host}, port {serving.port}: {error.strerror or error}.", hint="--port 0"
         ) from error
     return listening
+
+
+class _ToStation(logging.Handler):
+    """Events of the log, from whatever thread, on their way to the viewers."""
+
+    def __init__(self, station: Station) -> None:
+        super().__init__(logging.INFO)
+        self._station = station
+        self._loop = asyncio.get_running_loop()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody listens
+            self._loop.call_soon_threadsafe(self._station.log, as_json(record))
+
+
+@contextlib.contextmanager
+def _log_told(station: Station) -> Generator[None]:
+    handler = _ToStation(station)
+    logger = logging.getLogger("scanhsi")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 @contextlib.contextmanager
