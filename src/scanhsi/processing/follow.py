@@ -23,7 +23,7 @@ from scanhsi.cube.reader import open_cube
 from scanhsi.cube.rewrite import Rewriting, ShardTask, open_source
 from scanhsi.cube.shards import Codec
 from scanhsi.devices.errors import NotACube
-from scanhsi.processing.run import work_of
+from scanhsi.processing.run import lines_per_shard, work_of
 from scanhsi.processing.steps import Step
 
 _LOOK_S: Final = 0.05
@@ -112,8 +112,9 @@ def _make_ahead(
     try:
         task, seen = ShardTask(rewriting, files.documents), dict[int, Any]()
         per_shard, first = rewriting.layout.lines_per_shard, 0
+        raw_shard = lines_per_shard(source)
         while not over():
-            if not _whole(path, first, per_shard, planned):
+            if first + per_shard > planned or not _safe(path, range(first, first + per_shard), raw_shard):
                 time.sleep(_LOOK_S)
                 continue
             if first + per_shard > source.sizes["line"]:
@@ -128,14 +129,16 @@ def _make_ahead(
         files.destination.unlock()
 
 
-def _whole(path: Path, first: int, lines: int, planned: int) -> bool:
-    """Whether all lines of a shard are safe: its status is written last."""
-    if first + lines > planned:
-        return False  # the rest is made at the end
+def _safe(path: Path, lines: range, per_shard: int) -> bool:
+    """Whether lines of a cube with so many lines a shard are safe: their status is written last."""
+    first = lines.start // per_shard
+    status = b""
     try:
-        return 0 not in (path / STATUS.name / "c" / str(first // lines)).read_bytes()
+        for shard in range(first, (lines.stop - 1) // per_shard + 1):
+            status += (path / STATUS.name / "c" / str(shard)).read_bytes()
     except FileNotFoundError:
         return False
+    return 0 not in status[lines.start - first * per_shard : lines.stop - first * per_shard]
 
 
 def _missing(rewriting: Rewriting) -> list[int]:

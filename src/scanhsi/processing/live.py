@@ -8,28 +8,25 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import subprocess
 import sys
 import tempfile
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final, Self
 
 from scanhsi.clock import run_blocking
 from scanhsi.cube.layout import CubeSpec
 from scanhsi.cube.shards import Codec
-from scanhsi.devices.errors import ConfigError, CubeExists, ScanhsiError
+from scanhsi.devices.errors import ConfigError, CubeExists
 from scanhsi.engine.report import Processed
 from scanhsi.log import get_logger
-from scanhsi.processing.follow import Followed, follow, is_over
 from scanhsi.processing.pipeline import Pipeline
 from scanhsi.processing.signal import Signal
 from scanhsi.processing.steps import Step
 
-_NICER: Final = 19  # it takes what is left
 _WAIT_S: Final = 0.5
 _log = get_logger(__name__)
 
@@ -94,7 +91,7 @@ class Following:
         with os.fdopen(descriptor, "wb") as file:
             cloudpickle.dump((str(cube), live), file)
         said = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `abandon`
-        command = [sys.executable, "-m", "scanhsi.processing.live", name]
+        command = [sys.executable, "-m", "scanhsi.processing.live_worker", name]
         # A session of its own: Ctrl-C is for the scan, which tells this one.
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, start_new_session=True
@@ -163,24 +160,3 @@ async def beside(
         yield following
     finally:
         following.abandon()
-
-
-def main() -> None:
-    """Follow a scan until standard input ends; print the outcome as one JSON object."""
-    os.nice(_NICER)
-    job = Path(sys.argv[1])
-    cube, live = pickle.loads(job.read_bytes())  # made by `Following.start`, in a file that nobody else can write
-    job.unlink()
-    try:
-        told: dict[str, Any] = asdict(_follow(cube, live))
-    except ScanhsiError as error:
-        told = {"error": str(error)}
-    sys.stdout.write(json.dumps(told))
-
-
-def _follow(cube: str, live: LiveProcessing) -> Followed:
-    return follow(cube, live.output, live.steps, codec=live.codec, over=is_over(sys.stdin.fileno()))
-
-
-if __name__ == "__main__":
-    main()

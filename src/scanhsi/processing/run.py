@@ -79,19 +79,24 @@ def work_of(
     """
     pipeline = Pipeline(Signal.of(source), steps)
     spec = _spec(source, pipeline, name, lines or source.sizes["line"])
-    shards = source["cube"].encoding.get("shards") or source["cube"].encoding["chunks"]
     plateau = plateau_in(pipeline.input, steps)
     rewriting = Rewriting(
         source,
         output,
         spec,
-        choose_layout(spec, min(shards[1], _MANY_LINES)),
+        choose_layout(spec, min(lines_per_shard(source), _MANY_LINES)),
         codec,
         compute=pipeline,
         inspect=None if plateau is None else Tops(plateau.full_scale),
         review=plateau,
     )
     return rewriting, pipeline
+
+
+def lines_per_shard(source: xr.Dataset) -> int:
+    """Of a cube that was opened."""
+    encoding = source["cube"].encoding
+    return int((encoding.get("shards") or encoding["chunks"])[1])
 
 
 def _spec(source: xr.Dataset, pipeline: Pipeline, name: str, lines: int) -> CubeSpec:
