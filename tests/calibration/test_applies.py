@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from scanhsi.calibration.applies import Limits, check_applies
+from scanhsi.calibration.applies import Limits, check_applies, check_files
 from scanhsi.calibration.conditions import Conditions
 from scanhsi.calibration.dark import DarkModel
 from scanhsi.calibration.geometry import Geometry
-from scanhsi.calibration.result import Provenance
+from scanhsi.calibration.result import Provenance, save
 from scanhsi.devices.errors import CalibrationError
 
 ROI = {"samples": 20, "bands": 10, "sample_offset": 4, "band_offset": 0}
@@ -43,7 +44,9 @@ def plane(provenance: Provenance = MADE) -> Geometry:
         ({"temperature_c": 40.2}, Limits(), "was at 25.0 degC and is at 40.2 degC", "--max-drift 16"),
     ],
 )
-def test_it_is_refused_with_the_reason_and_the_way_out(change: dict[str, Any], limits: Limits, why: str, way_out: str) -> None:
+def test_it_is_refused_with_the_reason_and_the_way_out(
+    change: dict[str, Any], limits: Limits, why: str, way_out: str
+) -> None:
     with pytest.raises(CalibrationError, match=f"the dark model dark.nc does not apply: .*{why}") as refused:
         check_applies(dark(), replace(CUBE, **change), limits, source="dark.nc")
     assert way_out in str(refused.value.hint)
@@ -62,6 +65,15 @@ def test_it_is_refused_with_the_reason_and_the_way_out(change: dict[str, Any], l
 )
 def test_what_does_not_matter_is_not_refused(change: dict[str, Any], limits: Limits) -> None:
     check_applies(dark(), replace(CUBE, **change), limits)
+
+
+def test_all_files_of_a_program_are_looked_at_and_what_is_no_result_is_passed_over(tmp_path: Path) -> None:
+    save(dark(), tmp_path / "dark.nc")
+    cube = {"plan": {"exposure_s": 0.02, "gain_db": 3.0, "pixel_format": "Mono12"}, "instrument": {"roi": ROI}}
+    paths = [None, tmp_path / "dark.zarr", "s3://bucket/white.zarr", tmp_path / "dark.nc"]
+    check_files(paths, {**cube, "acquisition": {"finished": TAKEN}})
+    with pytest.raises(CalibrationError, match=r"dark\.nc does not apply: gain_db 3\.0 instead of 0\.0"):
+        check_files(paths, {**cube, "plan": {"gain_db": 0.0}})
 
 
 def test_places_do_not_depend_on_gain_and_distances_not_on_the_region() -> None:

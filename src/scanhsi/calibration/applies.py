@@ -8,12 +8,14 @@ way: old cubes may be processed with old references at any time.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from scanhsi.calibration.conditions import Conditions
+from scanhsi.calibration.kinds import is_result, load_any
 from scanhsi.calibration.result import Result, load
 from scanhsi.devices.errors import CalibrationError
 
@@ -126,6 +128,23 @@ def load_for(
     result = load(kind, path)
     check_applies(result, conditions, limits, source=path, region=region)
     return result
+
+
+def check_files(paths: Iterable[str | Path | None], cube: Mapping[str, Any], limits: Limits = USUAL) -> None:
+    """Refuse stored results that are not for a cube: what a program calls with all that it was given, before it begins.
+
+    Args:
+        paths: Results, of any kind; None and what is no result, a cube say, are passed over.
+        cube: Attributes of the cube.
+        limits: Of age and temperature.
+
+    Raises:
+        CalibrationError: One does not apply, or cannot be read.
+    """
+    conditions = Conditions.of(cube)
+    for path in paths:
+        if path is not None and is_result(path):
+            check_applies(load_any(path), conditions, limits, source=path)
 
 
 def _too_old(taken: str | None, used: str | None, limit: timedelta) -> tuple[str, int] | None:

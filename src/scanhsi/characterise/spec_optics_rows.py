@@ -90,9 +90,10 @@ def _geometry(result: Geometry, make: Make) -> list[Row]:
     roi = result.provenance.conditions.roi
     if roi is not None and "samples" in roi:
         wide, long = roi["samples"] * result.sample_pitch_mm, 2 * linear.y_mm
+        sigma = long * result.distance_sigma_mm / result.distance_mm  # of the length of the scan
         lines = int(2 * linear.steps) + 1
         rows += [
-            make("field of view", "", wide, "mm", text=f"{wide:.0f} x {long:.0f} mm at {result.distance_mm:.0f} mm"),
+            make("field of view", "", wide, "mm", sigma, f"{wide:.0f} x {long:.0f} mm at {result.distance_mm:.0f} mm"),
             make("resolution", "", float(roi["samples"] * lines), "px", text=f"{roi['samples']} x {lines} pixels"),
         ]
     return rows
