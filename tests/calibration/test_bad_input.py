@@ -168,7 +168,7 @@ CASES = {
         lambda v: jitter(np.linspace(0, 20, len(v)), v, NOWHERE), lambda: rng().normal(0, 0.2, 60), light=False
     ),
     "displacements": Case(lambda v: displacements(v, 0.18, 0.1), slanted),
-    "repeated displacements": Case(lambda v: repeated_displacements([v, v]), slanted),
+    "repeated displacements": Case(lambda v: repeated_displacements([v], [v]), slanted),
     "backlash": Case(
         lambda v: backlash([v], [np.roll(v, 2, axis=0)], np.arange(len(v), dtype=float), 0.23, NOWHERE), slanted
     ),
