@@ -161,7 +161,8 @@ def show_lamp(axes: Axes, result: LightStability) -> None:
     axes.plot(result.time_s, 100 * (result.signal / result.level - 1), "o", color=BLUE, label="snapshots")
     if np.isfinite(result.settling_s):
         seconds: Floats = np.linspace(float(result.time_s[0]), float(result.time_s[-1]), 300)
-        curve = 100 * result.overshoot * np.exp(-seconds / result.settling_s)
+        drift = result.drift_per_min / 60 * seconds
+        curve = 100 * (result.overshoot * np.exp(-seconds / result.settling_s) + drift)
         text = f"settles in {result.settling_s:.0f} $\\pm$ {result.settling_sigma_s:.0f} s"
         axes.plot(seconds, curve, color=ORANGE, label=text)
         if result.stable_after_s > float(result.time_s[0]):
