@@ -12,14 +12,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from scanhsi.calibration.conditions import Conditions
 from scanhsi.calibration.kinds import is_result, load_any
-from scanhsi.calibration.result import Result, load
+from scanhsi.calibration.result import Result
 from scanhsi.devices.errors import CalibrationError
-
-R = TypeVar("R", bound=Result)
 
 _COUNTS: Final = ("gain_db", "pixel_format", "roi", "binning")
 _PLACES: Final = ("roi", "binning")
@@ -110,24 +108,6 @@ def check_applies(
     if reasons:
         name = f"{use.name} {source}" if source else use.name
         raise CalibrationError(f"the {name} does not apply: {'; '.join(reasons)}.", hint="; or ".join(hints))
-
-
-def load_for(
-    kind: type[R],
-    path: str | Path,
-    conditions: Conditions,
-    limits: Limits = USUAL,
-    *,
-    region: bool = True,
-) -> R:
-    """Load a result for a use: `load`, then `check_applies`.
-
-    Raises:
-        CalibrationError: As both.
-    """
-    result = load(kind, path)
-    check_applies(result, conditions, limits, source=path, region=region)
-    return result
 
 
 def check_files(paths: Iterable[str | Path | None], cube: Mapping[str, Any], limits: Limits = USUAL) -> None:
