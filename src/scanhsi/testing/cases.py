@@ -13,7 +13,7 @@ from scanhsi.devices import PixelFormat
 from scanhsi.engine import Mode, ScanPlan
 from scanhsi.engine.plan import OnFault
 from scanhsi.imager import default_plan
-from scanhsi.instrument import InstrumentConfig
+from scanhsi.instrument import InstrumentConfig, LightConfig
 from scanhsi.testing.faults import ABOUT, NO_FAULTS, Fault, FaultPlan, Kind
 
 _BASE: Final[dict[str, Any]] = {
@@ -40,6 +40,7 @@ class Case(BaseModel):
         plan: Of the scan, as in `ScanPlan`.
         lines_per_shard, codec, durability, bin_samples: How it is stored.
         target: Where to.
+        light: Whether there is one to be switched, and how long it warms up; None: there is not.
         faults: What goes wrong.
     """
 
@@ -57,6 +58,7 @@ class Case(BaseModel):
     durability: Literal["every shard", "at close"] = "every shard"
     bin_samples: int = 1
     target: Literal["memory", "disk", "nothing"] = "memory"
+    light: float | None = Field(default=None, ge=0)
     faults: FaultPlan = NO_FAULTS
 
     def instrument(self) -> InstrumentConfig:
@@ -76,6 +78,7 @@ class Case(BaseModel):
         }
         return base.model_copy(
             update={
+                "light": None if self.light is None else _light(self.light),
                 "camera": base.camera.model_copy(update={"options": camera}),
                 "actuator": base.actuator.model_copy(update={"options": actuator}),
                 "roi": _base_roi().model_copy(update={**roi, **place}),
@@ -104,6 +107,10 @@ class Case(BaseModel):
 @cache
 def _base() -> InstrumentConfig:
     return InstrumentConfig.model_validate({**_BASE, "roi": {"bands": 8, "samples": 8}})
+
+
+def _light(warm_up_s: float) -> LightConfig:
+    return LightConfig.model_validate({"driver": "simulated", "bench": "fuzz", "warm_up_s": warm_up_s})
 
 
 def _base_roi() -> Any:
@@ -193,7 +200,7 @@ def draw(seed: int | str, scan: int) -> Case:
         plan["exposure_s"] = max(plan["exposure_s"], 0.002)  # which the motor can follow
     plan |= _recovery(rng)
     durability = rng.choice(("every shard", "every shard", "at close"))
-    return Case(
+    case = Case(
         seed=rng.randrange(10**6),
         bands=rng.randint(2, 8) * 2,
         samples=rng.randint(2, 12) * 2,
@@ -208,6 +215,18 @@ def draw(seed: int | str, scan: int) -> Case:
         target=rng.choices(("memory", "disk", "nothing"), (95, 2, 3))[0],
         faults=FaultPlan(faults=tuple(_fault(rng, lines) for _ in range(_how_many(rng))), seed=rng.randrange(1000)),
     )
+    return _lit(case, rng) if rng.random() < 0.3 else case
+
+
+def _lit(case: Case, rng: Random) -> Case:
+    """The same under a light, which may fail, too."""
+    faults = case.faults
+    if rng.random() < 0.3:
+        fault = Fault(
+            kind=Kind.LIGHT_UNANSWERED, nth=rng.randrange(3), lasts=rng.choice((1, 2, 9)), for_s=rng.choice(_WAITS_S)
+        )
+        faults = faults.model_copy(update={"faults": (*faults.faults, fault)})
+    return case.model_copy(update={"light": rng.choice((0.0, 0.0, 3.0)), "faults": faults})
 
 
 def _recovery(rng: Random) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from scanhsi.cube import LineStatus
 from scanhsi.cube.records import NOT_STAMPED
 from scanhsi.devices.errors import ScanFailed, ScanhsiError
 from scanhsi.engine import Mode
+from scanhsi.engine.deadlines import STORE_S
+from scanhsi.engine.plan import OnFault
 from scanhsi.testing.faults import Fault, Kind
 from scanhsi.testing.faulty_camera import warmed
 from scanhsi.testing.faulty_frames import PACKETS_MISSING
@@ -70,15 +72,24 @@ def _hangs(outcome: Outcome) -> Iterator[str]:
 
 
 def _leaves(outcome: Outcome) -> Iterator[str]:
-    if "close the cube" not in str(outcome.error):  # storage that does not answer is left behind, and that is told
+    if not _stuck(outcome):  # storage that does not answer is left behind
         yield from outcome.left
     yield from outcome.unhandled
 
 
+def _stuck(outcome: Outcome) -> bool:
+    happened = outcome.faults.happened
+    slow_s = sum(one.fault.for_s or 0.0 for one in happened if one.fault.kind is Kind.WRITE_SLOW)
+    return slow_s > STORE_S / 2
+
+
 def _unsafe(outcome: Outcome) -> Iterator[str]:
-    """The mirror stands and the camera is disarmed, or somebody was told that it is not so."""
+    """The mirror stands, the camera is disarmed and the light is off, or somebody was told that it is not so."""
     if not outcome.disarmed:
         yield "the camera is armed"
+    unanswered = Kind.LIGHT_UNANSWERED in outcome.faults.kinds()
+    if not outcome.dark and not (unanswered and (outcome.cancelled or "the light may be on" in str(outcome.error))):
+        yield f"the light is on, told: {outcome.error}"
     if outcome.mirror_still:
         return
     excuse = outcome.faults.kinds() & {Kind.STOP_UNANSWERED, Kind.ACTUATOR_UNPLUGGED}
@@ -150,6 +161,42 @@ def _harmless(fault: Fault) -> bool:
     return fault.kind in _HARMLESS or (fault.kind in _HARMLESS_IF_SHORT and short)
 
 
+def _gives_up(outcome: Outcome) -> Iterator[str]:
+    """One fault that can be mended ends no scan that is to try again, and in step modes costs no line."""
+    plan, error = outcome.case.plan, outcome.error
+    limits = {"line_retries", "retries", "recover_within_s"}
+    if plan.get("on_fault") != OnFault.RETRY or limits & plan.keys() or outcome.cancelled:
+        return
+    serious = [one.fault for one in outcome.faults.happened if not _harmless(one.fault)]
+    if len(serious) != 1 or not _mendable(serious[0]):
+        return
+    if isinstance(error, ScanFailed):
+        yield f"after {serious[0]}: {error}"
+    if outcome.report is not None and outcome.report.missing and plan["mode"] != Mode.CONTINUOUS:
+        yield f"after {serious[0]}: {outcome.report.missing_reasons}"
+
+
+_BACK_S: Final = 6.0
+_MENDABLE: Final = frozenset(
+    {Kind.FRAME_LOST, Kind.FRAME_INCOMPLETE, Kind.CONTROL_LOST, Kind.CONTROLLER_RESET, Kind.LIMIT_HIT}
+)
+_MENDABLE_IF_SHORT: Final = frozenset(
+    {
+        Kind.CAMERA_UNPLUGGED,
+        Kind.ACTUATOR_UNPLUGGED,
+        Kind.CAMERA_SILENT,
+        Kind.FRAME_LATE,
+        Kind.MOTOR_STALLS,
+        Kind.REPLY_LOST,
+    }
+)
+
+
+def _mendable(fault: Fault) -> bool:
+    short = fault.for_s is not None and fault.for_s <= _BACK_S
+    return fault.kind in _MENDABLE or (fault.kind in _MENDABLE_IF_SHORT and short)
+
+
 _CHECKS: Final[tuple[tuple[str, Callable[[Outcome], Iterator[str]]], ...]] = (
     ("it hangs", _hangs),
     ("something is left", _leaves),
@@ -158,6 +205,7 @@ _CHECKS: Final[tuple[tuple[str, Callable[[Outcome], Iterator[str]]], ...]] = (
     ("memory beyond the credits", _memory),
     ("the mirror moved in an exposure", _moving_while_exposing),
     ("it failed needlessly", _fails_needlessly),
+    ("it did not recover", _gives_up),
 )
 
 

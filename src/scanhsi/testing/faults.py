@@ -2,8 +2,8 @@
 
 A `FaultPlan` is a list of faults that a person writes, a seed draws, and JSON keeps. `Faults` is a plan under way: it counts the
 opportunities of each kind of fault and says when one is due. Whoever wraps a device, a destination or an event loop asks it:
-`scanhsi.testing.faulty_camera`, ``faulty_actuator``, ``faulty_storage``, ``faulty_loop``; `scanhsi.testing.instrument` puts all of
-them around an instrument of any driver. ::
+`scanhsi.testing.faulty_camera`, ``faulty_actuator``, ``faulty_light``, ``faulty_storage``, ``faulty_loop``;
+`scanhsi.testing.instrument` puts all of them around an instrument of any driver. ::
 
     plan = FaultPlan(faults=(
         Fault(kind="frame incomplete", nth=7),
@@ -54,6 +54,8 @@ class Kind(StrEnum):
     HOME_WRONG = "home wrong"
     STOP_UNANSWERED = "stop unanswered"
     ACTUATOR_UNPLUGGED = "actuator unplugged"
+
+    LIGHT_UNANSWERED = "light unanswered"
 
     BYTE_GARBLED = "byte garbled"
     BYTE_DROPPED = "byte dropped"
@@ -128,6 +130,9 @@ ABOUT: Final = {
     Kind.STOP_UNANSWERED: _about("call of stop", "no answer; a DeviceTimeout for_s later, the mirror goes on", "for_s"),
     Kind.ACTUATOR_UNPLUGGED: _about(
         "call of the actuator", "gone after after_s, there again for_s later", "after_s", "for_s"
+    ),
+    Kind.LIGHT_UNANSWERED: _about(
+        "switching of the light", "no answer; a DeviceTimeout for_s later, it stays as it is", "for_s"
     ),
     Kind.BYTE_GARBLED: _about("byte on the line", "one bit of it flips"),
     Kind.BYTE_DROPPED: _about("byte on the line", "it does not arrive"),

@@ -46,7 +46,7 @@ class Outcome:
         cancellations: How often it was told to.
         hung: It did not end by itself.
         stage: ``open``, ``scan``, ``close`` or ``over``: where the error came from.
-        mirror_still, disarmed: Of the devices, when the scan had ended and before they were closed.
+        mirror_still, disarmed, dark: Of the devices, when the scan had ended and before they were closed.
         claimed: Most lines that were said to be stored while the process "lived".
         unhandled: What came to the loop's handler of exceptions.
         left: Tasks, threads, files and frames that were left.
@@ -66,6 +66,7 @@ class Outcome:
     stage: str = "open"
     mirror_still: bool = True
     disarmed: bool = True
+    dark: bool = True
     claimed: int = 0
     unhandled: list[str] = field(default_factory=list[str])
     left: list[str] = field(default_factory=list[str])
@@ -141,6 +142,7 @@ async def _scan(case: Case, outcome: Outcome, control: ScanControl, loop: Faulty
             now = now_ns()
             outcome.mirror_still = outcome.witness.still(now, now + _A_WHILE_NS)
             outcome.disarmed = not outcome.witness.armed
+            outcome.dark = hsi.instrument.light is None or hsi.instrument.light.level == 0
         outcome.stage = "close"
     outcome.stage = "over"
 
