@@ -187,7 +187,12 @@ def test_a_calibration_waits_for_a_person(tmp_path: Path, monkeypatch: pytest.Mo
         job = (await http.get(f"/jobs/{asked['id']}")).json()
         assert (job["state"], "shutter" in job["prompt"]) == ("waiting", True)
         assert (await http.post(f"/jobs/{asked['id']}/confirm")).status_code == 200
-        assert (await service.done(asked["id"]))["state"] in ("done", "failed")
+        await asyncio.sleep(0.5)
+        job = (await http.get(f"/jobs/{asked['id']}")).json()
+        assert (job["state"], job["prompt"]) == ("running", None)
+        assert (await http.post(f"/jobs/{asked['id']}/cancel")).status_code == 200
+        assert (await service.done(asked["id"]))["state"] == "cancelled"
+        assert not (tmp_path / "d.nc").exists()
         assert (await http.post(f"/jobs/{asked['id']}/confirm")).status_code == 409
 
     with_service(tmp_path, use, small(**{"camera.scene": "dark"}))

@@ -80,6 +80,7 @@ def control(server: Server) -> Generator[dict[str, str]]:
 def fuzz(server: Server, headers: dict[str, str], examples: int) -> list[str]:
     schema = schemathesis.openapi.from_dict(description())
     tried: list[str] = []
+    failures: list[Exception] = []
     for found in schema.get_all_operations():
         operation = found.ok()
         if operation.path == "/api/v1/lease" and operation.method in ("post", "delete"):
@@ -102,7 +103,12 @@ def fuzz(server: Server, headers: dict[str, str], examples: int) -> list[str]:
             answer = case.call(base_url=server.url, headers=headers)
             case.validate_response(answer, checks=list(CHECKS))
 
-        try_it()
+        try:
+            try_it()
+        except Exception as error:
+            failures.append(error)
+    if failures:
+        raise ExceptionGroup("what was sent and should not have been answered so", failures)
     return tried
 
 

@@ -134,7 +134,9 @@ def test_references_recipes_plans_and_sheet(tmp_path: Path) -> None:
         assert (await http.put("/recipes/slow", json={"plan": plan, "target": "leaf"})).status_code == 200
         assert [recipe["name"] for recipe in (await http.get("/recipes")).json()] == ["slow"]
         scan = {"recipe": "slow", "plan": {"lines": 5}, "output": "leaf"}
-        done = await service.done((await http.post("/scans", json=scan)).json()["id"])
+        begun = await http.post("/scans", json=scan)
+        assert begun.status_code == 201, begun.text
+        done = await service.done(begun.json()["id"])
         assert (done["result"]["lines"], done["result"]["exposure_s"]) == (5, 0.03)
         assert (await http.get("/cubes/leaf.zarr")).json()["target"] == "leaf"
         assert (await http.delete("/recipes/slow")).status_code == 204

@@ -25,6 +25,7 @@ SMALL = {
     "roi.sample_offset": 1000,
     "roi.band_offset": 500,
     "camera.scene": "testpattern",
+    "storage.durability": "at close",
 }
 BASE = "http://localhost/api/v1"
 
@@ -50,10 +51,9 @@ class Service:
     async def done(self, id: str) -> dict[str, Any]:
         """The job once it is over."""
         while True:
-            job = (await self.http.get(f"/jobs/{id}")).json()
+            job = (await self.http.get(f"/jobs/{id}", params={"wait_s": 30})).json()
             if job["ended"] is not None:
                 return job
-            await asyncio.sleep(0.05)
 
     async def scan(self, name: str, lines: int = 20) -> dict[str, Any]:
         answer = await self.http.post("/scans", json={"plan": {"lines": lines}, "output": name})

@@ -158,6 +158,9 @@ class LeaseState(BaseModel):
     holder: HolderModel | None
 
 
+_MAY_BE_NULL = ("start", "period_s", "look_ahead")
+
+
 class PlanBody(Body):
     """A plan; what is left out is taken from the camera's settings, then from the instrument file."""
 
@@ -176,8 +179,9 @@ class PlanBody(Body):
     recover_within_s: float | None = Field(default=None, gt=0)
 
     def given(self) -> dict[str, Any]:
-        """Fields that were set, also those that were set to null."""
-        return self.model_dump(exclude_unset=True)
+        """Fields that were set; null only where it means something."""
+        fields = self.model_dump(exclude_unset=True)
+        return {name: value for name, value in fields.items() if value is not None or name in _MAY_BE_NULL}
 
 
 class ScanBody(Body):
@@ -302,12 +306,12 @@ class RecipeEntry(Recipe):
 class FieldBody(Body):
     """A field of view."""
 
-    height_mm: float = Field(gt=0, le=100_000, description="Length along the scan.", examples=[100.0])
+    height_mm: float = Field(ge=0.001, le=100_000, description="Length along the scan.", examples=[100.0])
     step: int | None = Field(
         default=None, ge=1, le=100_000, description="Steps from line to line; square pixels if left out."
     )
-    f_number: float | None = Field(default=None, gt=0, le=1000)
-    focal_mm: float | None = Field(default=None, gt=0, le=10_000)
+    f_number: float | None = Field(default=None, ge=0.1, le=1000)
+    focal_mm: float | None = Field(default=None, ge=0.1, le=10_000)
 
 
 class FieldPlanModel(BaseModel):

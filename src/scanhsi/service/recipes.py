@@ -22,7 +22,7 @@ def recipes(folder: Folder) -> list[RecipeEntry]:
     for path in sorted(folder.files(ENDING)):
         recipe = _read(path)
         if recipe is not None:
-            found.append(RecipeEntry(name=path.name.removesuffix(ENDING), **recipe.model_dump()))
+            found.append(_entry(path.name.removesuffix(ENDING), recipe))
     return found
 
 
@@ -35,16 +35,16 @@ def read_recipe(folder: Folder, name: str) -> RecipeEntry:
     recipe = _read(folder.file(name, ENDING))
     if recipe is None:
         raise NoSuch(f"there is no recipe {name}.", hint="GET /api/v1/recipes")
-    return RecipeEntry(name=name, **recipe.model_dump())
+    return _entry(name, recipe)
 
 
 def write_recipe(folder: Folder, name: str, recipe: Recipe) -> RecipeEntry:
     """Keep one; replaces an older one of that name."""
     path = folder.file(name, ENDING)
     new = path.with_name(f".{path.name}.new")
-    new.write_text(json.dumps(recipe.model_dump(mode="json", exclude_none=True), indent=2) + "\n")
+    new.write_text(json.dumps(recipe.model_dump(mode="json", exclude_unset=True), indent=2) + "\n")
     os.replace(new, path)
-    return RecipeEntry(name=name, **recipe.model_dump())
+    return _entry(name, recipe)
 
 
 def remove_recipe(folder: Folder, name: str) -> None:
@@ -57,6 +57,10 @@ def remove_recipe(folder: Folder, name: str) -> None:
         folder.file(name, ENDING).unlink()
     except FileNotFoundError:
         raise NoSuch(f"there is no recipe {name}.", hint="GET /api/v1/recipes") from None
+
+
+def _entry(name: str, recipe: Recipe) -> RecipeEntry:
+    return RecipeEntry(name=name, **recipe.model_dump(exclude_unset=True))
 
 
 def _read(path: Path) -> Recipe | None:

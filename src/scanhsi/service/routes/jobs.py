@@ -57,7 +57,9 @@ class AutoExposureBody(Body):
     target: float = Field(default=0.85, ge=0.05, le=0.98, description="Of the brightest pixels, share of full scale.")
 
 
-@router.post("/scans", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409, 503, 504))
+@router.post(
+    "/scans", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(404, 409, 503, 504)
+)
 async def start_scan(station: StationHere, body: ScanBody) -> JobModel:
     """Scan. Answers at once; the job tells how far it is."""
     recipe = None if body.recipe is None else read_recipe(station.folder, body.recipe)

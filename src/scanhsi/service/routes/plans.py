@@ -33,19 +33,25 @@ async def plan_field(station: StationHere, body: FieldBody) -> FieldPlanModel:
     return FieldPlanModel(**found)
 
 
-@router.get("/recipes", tags=["plans"], responses=problems())
+@router.get("/recipes", tags=["plans"], response_model_exclude_unset=True, responses=problems())
 async def list_recipes(station: StationHere) -> list[RecipeEntry]:
     """All recipes."""
     return await station.background.run(recipes.recipes, station.folder)
 
 
-@router.get("/recipes/{name}", tags=["plans"], responses=problems(404))
+@router.get("/recipes/{name}", tags=["plans"], response_model_exclude_unset=True, responses=problems(404))
 async def get_recipe(station: StationHere, name: RecipeName) -> RecipeEntry:
     """One recipe."""
     return await station.background.run(recipes.read_recipe, station.folder, name)
 
 
-@router.put("/recipes/{name}", tags=["plans"], dependencies=[IN_CONTROL], responses=problems())
+@router.put(
+    "/recipes/{name}",
+    tags=["plans"],
+    response_model_exclude_unset=True,
+    dependencies=[IN_CONTROL],
+    responses=problems(404),
+)
 async def put_recipe(station: StationHere, name: RecipeName, body: Recipe) -> RecipeEntry:
     """Keep a recipe; it replaces an older one of that name."""
     plan_for(station, body.plan.given())
