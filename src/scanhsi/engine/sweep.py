@@ -66,11 +66,21 @@ class Places:
         if self._trigger is Trigger.FREE_RUN:
             if self._previous is None:
                 self._shift = round(self._late(frame))
+        elif self._stale(frame):  # its stamp tells nothing: the next one is compared with the last that did
+            seen = await self._seen(frame)
+            self._shift = max(self._shift, self._shift if seen is None else seen - frame.index)
+            return self._first + frame.index + self._shift
         elif (late := self._late(frame)) > LATE:
             seen = await self._seen(frame)
             self._shift = max(self._shift, round(late) + self._shift if seen is None else seen - frame.index)
         self._previous = frame
         return self._first + frame.index + self._shift
+
+    def _stale(self, frame: Frame) -> bool:
+        """Whether a camera that lost the frame's leader gave it the stamp of an earlier one."""
+        previous = self._previous
+        stamps = frame.device_ns, previous.device_ns if previous is not None else None
+        return stamps[0] is not None and stamps[1] is not None and stamps[0] <= stamps[1]
 
     def _late(self, frame: Frame) -> float:
         """How late a frame is, in periods: by the camera's clock after its predecessor, the first by the announced passing."""
