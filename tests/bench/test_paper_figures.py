@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from importlib.resources import files
 from pathlib import Path
 
 import matplotlib.image
@@ -17,12 +16,13 @@ from scanhsi.bench.findings import look_through
 from scanhsi.bench.lines import LineSweep, measure_lines
 from scanhsi.bench.paper import Made, draw_paper
 from scanhsi.calibration.jitter import jitter
-from scanhsi.calibration.lines import load_lines
+from scanhsi.calibration.lines import hgar
 from scanhsi.calibration.resolution import BarContrast
 from scanhsi.calibration.result import Provenance, save
 from scanhsi.calibration.snr import signal_to_noise
+from scanhsi.calibration.wavelength import Wavelength
 from scanhsi.cli import run
-from scanhsi.devices import PixelFormat
+from scanhsi.devices import PixelFormat, ShowsScenes
 from scanhsi.devices.errors import CalibrationError
 from scanhsi.engine import Mode
 from scanhsi.instrument import load_instrument
@@ -30,35 +30,54 @@ from scanhsi.instrument import load_instrument
 RESULTS = [4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14]
 NARROW = {"camera.samples": 60, "roi.samples": 60, "roi.sample_offset": 0}
 FEW_BANDS = {"roi.samples": 600, "roi.bands": 6, "roi.sample_offset": 724, "roi.band_offset": 480}
+GRID = "geometry-cubes/amsler.zarr"
 MADE_UP = Provenance(simulated=True, sources=("made-up.zarr",))
 
 
 async def taken(folder: Path) -> None:
     """What needs cubes; small."""
-    certificate = load_lines(str(files("scanhsi_sim") / "data" / "wavelength_tile.csv"))
     async with scanhsi.open_instrument(load_instrument("characterise", NARROW)) as hsi:
-        await hsi.calibrate.wavelength(folder / "wavelength.nc", exposure_s=0.06, frames=3)
-        await hsi.calibrate.wavelength_tile(certificate, folder / "tile.nc", exposure_s=0.04, frames=6)
-    config = load_instrument("characterise", {**FEW_BANDS, "camera.scene": "usaf"})
-    async with scanhsi.open_instrument(config) as hsi:
-        await hsi.scan(hsi.default_plan(lines=330), folder / "usaf.zarr", target="usaf")
-        await hsi.calibrate.geometry(folder / "geometry.nc", half_mm=30, exposure_s=0.04)
+        assert isinstance(hsi.camera, ShowsScenes)
+        for scene in ("hgar", "wavelength-tile", "white", "dark"):
+            await hsi.camera.show(scene)
+            plan = hsi.default_plan(lines=3, step=0, start=0, exposure_s=0.05)
+            await hsi.scan(plan, folder / "lit" / f"{scene}.zarr", target=scene)
+    async with scanhsi.open_instrument(load_instrument("characterise", FEW_BANDS)) as hsi:
+        await hsi.calibrate.geometry(folder / "geometry.nc", half_mm=20, exposure_s=0.04)
+
+
+def wavelength(folder: Path, known_nm: np.ndarray, fwhm_nm: float, *scenes: str) -> Wavelength:
+    """As the calibrations would find it."""
+    true = np.polynomial.Polynomial([370.79, 0.536, -4e-6])
+    band = np.interp(known_nm, true(np.arange(1088.0)), np.arange(1088.0))
+    little = np.full(len(band), 0.01)
+    cubes = tuple(str(folder / "lit" / f"{scene}.zarr") for scene in (*scenes, "dark"))
+    return Wavelength(
+        1088, true.coef, np.eye(3) * 1e-12, known_nm, band, little, np.full(len(band), fwhm_nm), little, 0.01, 0.5, len(band),
+        "lines.csv", Provenance(simulated=True, sources=cubes),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as it comes from the commands, moved to another place since."""
     folder = tmp_path_factory.mktemp("paper") / "at-first"
-    folder.mkdir()
+    (folder / "lit").mkdir(parents=True)
     clock.run(taken(folder), virtual=True)
+    save(wavelength(folder, hgar().calibrating().within(380, 940).wavelength_nm, 2.9, "hgar"), folder / "wavelength.nc")
+    minima = np.linspace(450, 900, 9)
+    save(wavelength(folder, minima, np.nan, "wavelength-tile", "white"), folder / "tile.nc")
     rng = np.random.default_rng(1)
     save(jitter(np.arange(300.0), 0.2 * rng.standard_normal(300), MADE_UP, harmonics=0), folder / "jitter.nc")
     save(signal_to_noise({0.02: rng.normal(1, 0.01, (5, 9, 8))}, MADE_UP), folder / "snr.nc")
     for axis, finest in (("line", 0.5), ("sample", 0.2)):
         widths = np.geomspace(2, 0.2, 7)
         contrast = np.clip(1 - finest / widths / 2, 0, 1)
-        bars = BarContrast(axis, widths, contrast, finest, 0.2, Provenance(simulated=True, sources=("usaf.zarr",)))
+        bars = BarContrast(axis, widths, contrast, finest, 0.2, Provenance(simulated=True, sources=(GRID,)))
         save(bars, folder / f"bars-{axis}.nc")
+    rows = [f"{axis},{width},40,60,200,240" for axis in ("line", "sample") for width in (2, 1, 0.5)]
+    head = "axis,bar_mm,first_line,last_line,first_sample,last_sample"
+    (folder / "bars.csv").write_text("\n".join([head, *rows]))
     sweep = LineSweep(lines=4, exposures_s=[0.02, 0.1], formats=[PixelFormat.MONO8], modes=[Mode.SEQUENTIAL])
     clock.run(measure_lines(load_instrument("sensors2019"), sweep, folder / "bench", command="test"), virtual=True)
     (folder / "other.csv").write_text("a,b\n")
@@ -68,7 +87,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(results: Path) -> dict[int, Made]:
-    found = draw_paper(look_through([results]), results / "figures", cube=str(results / "usaf.zarr"))
+    found = draw_paper(look_through([results]), results / "figures", cube=str(results / GRID))
     return {one.figure: one for one in found}
 
 

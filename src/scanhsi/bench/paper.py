@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from scanhsi.bench.curves import curves
 from scanhsi.bench.figures import draw_figures
 from scanhsi.bench.findings import Found
-from scanhsi.bench.observations import read_sessions
+from scanhsi.bench.observations import Session, read_sessions
 from scanhsi.calibration.dark import DarkModel
 from scanhsi.calibration.figures.bars import draw_bar_target
 from scanhsi.calibration.figures.grid import draw_distortion, draw_grid
@@ -34,7 +34,7 @@ from scanhsi.calibration.view import view
 from scanhsi.calibration.wavelength import Wavelength
 from scanhsi.characterise.bars_from_cube import load_bars
 from scanhsi.characterise.evidence import bar_target, grid_points, middle_spectra, sources_of, tile_reflectance
-from scanhsi.devices.errors import CalibrationError, ScanhsiError
+from scanhsi.devices.errors import CalibrationError, CubeError, ScanhsiError
 
 R = TypeVar("R", bound=Result)
 Draw = Callable[[], Figure]
@@ -103,20 +103,19 @@ def _timing(found: Found, folder: Path) -> dict[int, Made]:
     """Figures of the bench, from its last session with whole scans."""
     lacks = "no records of the bench: run `scanhsi bench lines INSTRUMENT -o bench`"
     files: list[Path] = []
+    sessions: list[Session] = []
     try:
         sessions = [session for path in found.records for session in read_sessions(path)]
-        if sessions:
-            last = max(sessions, key=lambda session: str(session.facts.get("started", "")))
-            files = draw_figures(last, curves(last.observations), folder)
-            lacks = "the bench measured no whole scans"
-    except (KeyError, ValueError) as error:
-        lacks = f"the records of the bench are damaged: {error!r}"
+    except (CubeError, KeyError, ValueError) as error:
+        lacks = f"the records of the bench cannot be read: {error}"
+    if sessions:
+        last = max(sessions, key=lambda session: str(session.facts.get("started", "")))
+        files = draw_figures(last, curves(last.observations), folder)
+        lacks = "the bench measured no whole scans"
     made: dict[int, Made] = {}
     for number, title in _BENCH.items():
-        own = tuple(
-            sorted((file for file in files if file.name.startswith(f"figure{number}-")), reverse=True)
-        )  # .png first
-        made[number] = Made(number, title, own, "" if own else lacks)
+        own = sorted((file for file in files if file.name.startswith(f"figure{number}-")), reverse=True)  # .png first
+        made[number] = Made(number, title, tuple(own), "" if own else lacks)
     return made
 
 
