@@ -23,6 +23,7 @@ from scanhsi.devices.errors import (
 
 _BY_WORDS: Final[tuple[tuple[str, type[DeviceError]], ...]] = (
     ("ACCESS_DENIED", DeviceBusy),
+    ("claim control", DeviceBusy),  # it answered the broadcast: some cameras do not even refuse a second program
     ("control of the camera was lost", DeviceLost),
     ("is closed", DeviceLost),
     ("I/O failed: io:", DeviceLost),  # of the operating system: refused, unreachable, no such device

@@ -99,6 +99,7 @@ def test_control_taken_away_is_a_lost_camera(fake: FakeCamera) -> None:
     ("words", "kind"),
     [
         ("claim control: device reported status ACCESS_DENIED (0x8006)", DeviceBusy),
+        ("claim control: timeout waiting for acknowledgement", DeviceBusy),
         ("register I/O failed: control of the camera was lost, so nothing is written", DeviceLost),
         ("register I/O failed: io: Connection refused (os error 111)", DeviceLost),
         ("ExposureTime: 1000000000000 is above the maximum 1000000", OutOfRange),
