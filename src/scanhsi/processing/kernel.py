@@ -117,9 +117,10 @@ class Kernel:
         return self._level < np.inf and bool(lines.max() >= self._level)
 
     def _unknown(self, line: NDArray[Any]) -> NDArray[np.bool_] | None:
-        bad = line >= self._level
-        if line.dtype.kind == "f":
-            bad |= np.isnan(line)
+        floats = line.dtype.kind == "f"
+        bad = np.isnan(line) if floats else line >= self._level
+        if floats and self._level < np.inf:
+            bad |= line >= self._level
         return bad if bad.any() else None
 
     def _taken_in(self, block: _Block, unknown: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -183,11 +184,11 @@ def _parts(banded: Banded, channels: slice, step: int, first_sample: int) -> Ite
     low, high = place.min(axis=(0, 1), where=takes, initial=_FAR), place.max(axis=(0, 1), where=takes, initial=-_FAR)
     nothing = low > high
     low[nothing] = high[nothing] = begins[0, nothing]
-    for run in _runs(low, high):
+    for run in runs(low, high):
         yield _part(banded, channels, begins, first_sample, run)
 
 
-def _runs(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[tuple[slice, int, int]]:
+def runs(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[tuple[slice, int, int]]:
     """Samples that share a window: cells of some, joined where that widens no window."""
     cells = [slice(start, min(start + _CELL, len(low))) for start in range(0, len(low), _CELL)]
     first, begin, end = 0, int(low[cells[0]].min()), int(high[cells[0]].max())

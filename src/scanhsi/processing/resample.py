@@ -7,30 +7,21 @@ weights of neighbours, worked out once. A pixel that is not known spoils what ta
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scanhsi.processing.banded import Banded
+from scanhsi.processing.kernel import Kernel
+from scanhsi.processing.slit import Neighbours, SlitKernel
 
 Floats = NDArray[np.float64]
 Axis = Literal["band", "sample"]
 Kind = Literal["cubic", "linear"]
 
 _NEGLIGIBLE: Final = 1e-6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Tap:
-    """One neighbour: its distance, the part of the frame where it counts, and its weight there."""
-
-    offset: int
-    bands: slice
-    samples: slice
-    weight: NDArray[np.float32]
 
 
 class Mover:
@@ -49,13 +40,17 @@ class Mover:
         self._shift, self._kind, self._conserve = shift, kind, conserve
 
     @functools.cached_property
-    def _outside(self) -> NDArray[np.bool_]:
-        return self._places(self._shift)[2]
+    def _kernel(self) -> Callable[[NDArray[np.floating[Any]]], NDArray[np.float32]]:
+        bands, samples = self._shift.shape
+        if self._along:
+            return SlitKernel(bands, self._neighbours)
+        whole = self.banded(bands, slice(0, samples))
+        assert whole is not None, "it moves along the bands"
+        return Kernel([(slice(0, samples), whole)])
 
-    @functools.cached_property
-    def _taps(self) -> list[_Tap]:
-        base, weights, _ = self._places(self._shift)
-        return list(_taps(base - self._own(base), weights))
+    def _neighbours(self, bands: slice) -> Neighbours:
+        base, weights, outside = self._places(self._shift[bands])
+        return base - 1, np.stack(weights), outside
 
     def _own(self, frame: NDArray[Any]) -> NDArray[np.intp]:
         own = np.arange(frame.shape[self._along], dtype=np.intp)
@@ -83,50 +78,7 @@ class Mover:
 
     def __call__(self, lines: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Move some lines, (band, line, sample); nan where a neighbour is not known, and beyond the sensor."""
-        unknown = np.isnan(lines)
-        bad = np.nonzero(unknown) if unknown.any() else None
-        if bad is not None:
-            lines = np.where(unknown, np.float32(0), lines)
-        out = np.zeros(lines.shape, np.float32)
-        for tap in self._taps:
-            out[tap.bands, :, tap.samples] += tap.weight[:, None, :] * lines[self._source(tap)]
-        if bad is not None:
-            self._spoil(out, *bad)
-        out[np.broadcast_to(self._outside[:, None, :], out.shape)] = np.nan
-        return out
-
-    def _source(self, tap: _Tap) -> tuple[slice, slice, slice]:
-        parts = [tap.bands, tap.samples]
-        moved = parts[self._along]
-        parts[self._along] = slice(moved.start + tap.offset, moved.stop + tap.offset)
-        return parts[0], slice(None), parts[1]
-
-    def _spoil(
-        self, out: NDArray[np.float32], band: NDArray[np.intp], line: NDArray[np.intp], sample: NDArray[np.intp]
-    ) -> None:
-        for tap in self._taps:
-            there = [band, sample]
-            there[self._along] = there[self._along] - tap.offset
-            row, column = there[0] - tap.bands.start, there[1] - tap.samples.start
-            rows, columns = tap.weight.shape
-            hit = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-            hit[hit] = tap.weight[row[hit], column[hit]] != 0
-            out[there[0][hit], line[hit], there[1][hit]] = np.nan
-
-
-def _taps(whole: NDArray[np.intp], weights: Sequence[Floats]) -> Iterator[_Tap]:
-    """The neighbours, each cut to the runs of samples where it counts, so that little is multiplied by nothing."""
-    for offset in range(int(whole.min()) - 1, int(whole.max()) + 3):
-        weight = np.zeros(whole.shape)
-        for index, value in enumerate(weights):
-            here = whole + index - 1 == offset
-            weight[here] = value[here]
-        used = (weight != 0).any(axis=0)
-        for first, last in _runs(used):
-            rows = np.flatnonzero((weight[:, first:last] != 0).any(axis=1))
-            bands = slice(int(rows[0]), int(rows[-1]) + 1)
-            part = np.ascontiguousarray(weight[bands, first:last], np.float32)
-            yield _Tap(offset, bands, slice(first, last), part)
+        return self._kernel(lines)
 
 
 def _weights(share: Floats, edge: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats, Floats]:
@@ -140,8 +92,3 @@ def _weights(share: Floats, edge: NDArray[np.bool_]) -> tuple[Floats, Floats, Fl
     )
     straight = (np.zeros_like(t), 1 - t, t, np.zeros_like(t))
     return tuple(np.where(edge, two, four) for two, four in zip(straight, cubic, strict=True))  # pyright: ignore[reportReturnType]
-
-
-def _runs(used: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    steps = np.diff(np.concatenate(([False], used, [False])).astype(np.int8))
-    yield from zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True)
