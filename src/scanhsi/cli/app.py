@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import os
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, runtime_checkable
@@ -38,6 +41,9 @@ from scanhsi.cli import (
 )
 from scanhsi.cli.codes import EXIT_CODES, ExitCode
 from scanhsi.cli.output import show_error, write_json
+
+EXIT_S = 5.0
+"""How long a program that is done waits for its threads."""
 
 _FLAGS = ("--log-json", "--version")
 _WITH_VALUE = ("--log-level", "--log-file")
@@ -150,7 +156,15 @@ def run(args: Sequence[str]) -> int:
 
 def main() -> None:
     """Entry point of the console script ``scanhsi``."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    with contextlib.suppress(OSError):  # nobody reads it any more
+        sys.stdout.flush()
+    last_resort = threading.Timer(
+        EXIT_S, os._exit, (code,)
+    )  # a thread that waits for a dead disk would keep the process
+    last_resort.daemon = True
+    last_resort.start()
+    sys.exit(code)
 
 
 @runtime_checkable

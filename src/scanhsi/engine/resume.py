@@ -50,7 +50,7 @@ class Begun:
         file = ("instrument", self.attributes["instrument"], config.model_dump(mode="json"), _MAY_DIFFER)
         problems = [problem for name, then, now, but in (written, file) for problem in _differing(name, then, now, but)]
         there = self.attributes.get("devices", {})
-        for role in ("camera", "actuator"):
+        for role in ("camera", "actuator", "light"):
             then, now = _identity(there.get(role, {})), _identity(devices.get(role, {}))
             problems += _differing(f"device {role}", then, now)
         return problems
