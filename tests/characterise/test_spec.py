@@ -8,17 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from scanhsi.calibration.conditions import Conditions
 from scanhsi.calibration.geometry import Geometry
 from scanhsi.calibration.jitter import jitter
+from scanhsi.calibration.repeatability import repeatability
 from scanhsi.calibration.resolution import BarContrast
-from scanhsi.calibration.result import Provenance, Result
+from scanhsi.calibration.result import Provenance, Result, identity
+from scanhsi.calibration.wavelength import Wavelength
 from scanhsi.characterise.spec import TABLE_7, specification
 from scanhsi.characterise.spec_row import Timing
 from scanhsi.characterise.spec_write import draw_pages, to_markdown, write_sheet
 from scanhsi.devices.errors import ConfigError
 from scanhsi.instrument import load_instrument
+
+Floats = NDArray[np.float64]
 
 MEASURED = Provenance(
     conditions=Conditions(0.02, 0.0, "Mono12", {"samples": 1200}), simulated=False, taken="2026-01-02"
@@ -69,6 +74,56 @@ def test_rows_have_value_uncertainty_and_source() -> None:
     assert rows["gain"].source == "instrument file sensors2019, not measured"
     assert rows["snr"].value == "not measured"
     assert sheet.simulated is False
+
+
+def scale(fwhm_nm: float, first_nm: float) -> Wavelength:
+    lines: Floats = np.array([500.0, 700.0])
+    width: Floats = np.full(2, fwhm_nm)
+    return Wavelength(
+        1088,
+        np.array([first_nm, 0.53]),
+        np.eye(2) * 1e-6,
+        lines,
+        lines,
+        lines,
+        width,
+        width,
+        0.01,
+        0.5,
+        2,
+        "",
+        MEASURED,
+    )
+
+
+def test_a_tile_gives_the_range_only_where_no_lamp_does() -> None:
+    lamp, tile = ("lamp.nc", scale(2.9, 371.0)), ("tile.nc", scale(np.nan, 372.0))
+    both = {row.key: row for row in specification([lamp, tile]).table}
+    assert both["wavelength range"].source == "lamp.nc"
+    assert both["spectral resolution"].value.startswith("2.90 nm")
+    alone = {row.key: row for row in specification([tile]).table}
+    assert alone["wavelength range"].value == "372.0-948.1 nm"
+    assert alone["spectral resolution"].value == "not measured"
+
+
+def test_the_drive_of_the_mirror_has_rows_with_errors_in_the_order_of_kinds() -> None:
+    rng = np.random.default_rng(1)
+    again = repeatability(rng.normal(0, 0.9, (5, 11)), rng.normal(2.4, 0.9, (5, 11)), np.arange(11.0), 0.2282, MEASURED)
+    sheet = specification([("again.nc", again), ("jitter.nc", shaken()), ("geometry.nc", PLANE)])
+    keys = [row.key for row in sheet.further]
+    assert keys == [
+        "distance",
+        "normal step",
+        "jitter",
+        "repeatability",
+        "repeatability one way",
+        "approach",
+        "reversal",
+    ]
+    rows = {row.key: row for row in sheet.further}
+    assert rows["reversal"].uncertainty.endswith("steps")
+    assert rows["approach"].identity == identity(again)
+    assert f"again.nc {identity(again)}, 2026-01-02" in to_markdown(sheet)
 
 
 def test_the_youngest_result_counts() -> None:
