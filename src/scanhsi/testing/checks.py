@@ -283,6 +283,8 @@ def _line_is_true(outcome: Outcome, cube: Snapshot, line: int, sight: Sight) -> 
             return
     else:
         near = low == high == due
+    if not sight.homed:
+        yield f"{where}: nobody knew where the mirror was, it had not found its home"
     if not near:
         yield f"{where}: the mirror was at {low} to {high} and not at {due}"
     told = int(cube.column("mirror_step")[line])
@@ -336,7 +338,7 @@ _REASONS: Final = {
     "did not arrive within": _NO_WORD,
     "lost without a word": _NO_WORD,
     "no frame came": _NO_WORD,
-    "camera was still busy": _NO_WORD | {Kind.METADATA_STALE},
+    "camera was still busy": _NO_WORD | {Kind.METADATA_STALE, Kind.MOVE_SLOW},
     "no free": {Kind.WRITE_SLOW} | _NO_WORD,  # lines that are lost come to storage all at once, too
     "while the sensor was busy": _STALLED,
     "memory is full": _STALLED,

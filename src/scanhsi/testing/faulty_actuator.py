@@ -62,7 +62,7 @@ class FaultyActuator:
         self._link.connect(type(self.inner).__name__)
         await self.inner.connect()
         self._position_lost = False
-        self._witness.offset = 0
+        self._witness.offset, self._witness.homed = 0, self.inner.homed
         if isinstance(self.inner, KnowsMirror):
             self._witness.mirror = self.inner
 
@@ -80,7 +80,7 @@ class FaultyActuator:
         fault = self._faults.due(Kind.HOME_WRONG)
         motion = await self.inner.home()
         self._position_lost = False
-        self._witness.offset = 0 if fault is None else round(fault.by)
+        self._witness.offset, self._witness.homed = 0 if fault is None else round(fault.by), True
         return replace(motion, step=motion.step + self.offset)
 
     async def move_to(self, step: int) -> Motion:
@@ -145,7 +145,7 @@ class FaultyActuator:
         if fault.kind is Kind.LIMIT_HIT:
             raise MotionFailed("the limit switch stopped it.", device=device, operation=operation)
         if fault.kind is Kind.CONTROLLER_RESET:
-            self._position_lost = True
+            self._position_lost, self._witness.homed = True, False
             raise PositionLost("the controller has restarted.", device=device, operation=operation, hint="home it.")
         await wait_s(fault.for_s)
         raise DeviceTimeout("the motion did not end.", device=device, operation=operation)

@@ -44,6 +44,7 @@ class Sight:
         span: Where the mirror truly was while the frame was integrated.
         still: Whether the mirror stood still from start to end.
         offset: Steps by which the actuator is wrong about itself: reported minus true.
+        homed: Whether it had found its home since it was opened, or reset.
         pixels: What the frame truly shows.
         frame_id: Number on the frame as it was handed on; None before that.
     """
@@ -54,6 +55,7 @@ class Sight:
     span: Span
     still: bool
     offset: int
+    homed: bool
     pixels: NDArray[Any]
     frame_id: int | None = None
 
@@ -70,6 +72,7 @@ class Witness:
     Attributes:
         sights: By the start of each exposure.
         offset: Of the actuator, now: reported minus true.
+        homed: Whether the actuator has found its home since it was opened, or reset.
         most_frames: Most frames that were alive at once.
         buffers: As the camera was armed last.
         armed: Whether the camera is.
@@ -80,6 +83,7 @@ class Witness:
 
     sights: dict[int, Sight] = field(default_factory=dict[int, Sight])
     offset: int = 0
+    homed: bool = False
     most_frames: int = 0
     buffers: int = 0
     armed: bool = False
@@ -103,7 +107,7 @@ class Witness:
         span, (low, high) = self.mirror.true_span(start_ns, end_ns), self.mirror.true_span(start_ns, shut_ns)
         pixels = np.asarray(self.scene.true_pixels(span))
         wrong = self.offset if offset is None else offset
-        self.sights[start_ns] = Sight(len(self.sights), start_ns, shut_ns, span, low == high, wrong, pixels)
+        self.sights[start_ns] = Sight(len(self.sights), start_ns, shut_ns, span, low == high, wrong, self.homed, pixels)
 
     def came(self) -> None:
         """A frame is there."""
