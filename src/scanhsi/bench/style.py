@@ -53,6 +53,7 @@ def save(draw: Callable[[], Figure], folder: Path, name: str) -> list[Path]:
         try:
             for path in paths:
                 figure.savefig(path, dpi=_DPI)
+                figure.set_layout_engine("none")  # everything has its place now
         except OSError as error:
             raise CubeError(f"cannot write {folder / name}: {error.strerror or error}.") from error
     return paths
