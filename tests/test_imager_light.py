@@ -6,6 +6,7 @@ from pathlib import Path
 
 import scanhsi
 from scanhsi.clock import run_virtual
+from scanhsi.engine import Progress, ScanControl
 from scanhsi.instrument import load_instrument
 
 LIT = {
@@ -46,3 +47,30 @@ def test_a_light_that_was_left_on_does_not_shine_on_a_dark_reference(tmp_path: P
 
     run_virtual(main())
     assert float(scanhsi.open_cube(tmp_path / "left.zarr")["cube"].mean()) < 200
+
+
+def test_a_scan_that_was_stopped_goes_on_in_the_light(tmp_path: Path) -> None:
+    cube = tmp_path / "cube.zarr"
+
+    async def main(resuming: bool) -> scanhsi.ScanReport:
+        async with scanhsi.open_instrument(load_instrument("sensors2019", LIT)) as hsi:
+            control = ScanControl()
+
+            def stop_soon(progress: Progress) -> None:
+                if progress.taken >= 3:
+                    control.stop.set()
+
+            plan = hsi.default_plan(lines=30, exposure="500 ms")
+            report = await (
+                hsi.resume(cube) if resuming else hsi.scan(plan, cube, control=control, on_progress=stop_soon)
+            )
+            assert hsi.instrument.light is not None
+            assert hsi.instrument.light.level == 0
+            return report
+
+    stopped = run_virtual(main(False))
+    assert 0 < stopped.stored < 30
+    assert run_virtual(main(True)).stored == 30
+    lines = scanhsi.open_cube(cube)["cube"]
+    means = lines.mean([name for name in lines.dims if name != "line"])
+    assert float(means.min()) > 0.5 * float(means.max())
