@@ -558,3 +558,34 @@ def test_records_of_a_line_that_is_given_up_hold_nothing_of_its_tries(use_camera
     records = rig.sink.records
     assert records.status[4] == LineStatus.MISSING
     assert records.frame_id[4] == -1
+
+
+def test_a_scan_is_stopped_also_while_a_device_hangs_in_being_opened(use_camera: Any) -> None:
+    class Hangs(Camera):
+        async def connect(self) -> None:
+            await _for_ever()
+
+    use_camera(Hangs)
+    rig = Rig(trouble=Trouble({"expose": {5: gone("camera bench")}}))
+
+    async def main() -> ScanReport:
+        stop = asyncio.Event()
+        asyncio.get_running_loop().call_later(2.0, stop.set)
+        return await rig.main(stop=stop)
+
+    report = run_virtual(main())
+    rig.check_safe()
+    assert report.stopped_early
+    assert report.duration_s < 2.5
+
+
+def test_the_time_limit_holds_also_for_a_device_that_hangs_in_being_opened(use_camera: Any) -> None:
+    class Hangs(Camera):
+        async def connect(self) -> None:
+            await _for_ever()
+
+    use_camera(Hangs)
+    rig = Rig(recovery=Recovery(OnFault.RETRY, within_s=10.0), trouble=Trouble({"expose": {5: gone("camera bench")}}))
+    failed = rig.fails()
+    assert isinstance(failed.causes[-1], DeviceTimeout)
+    assert rig.sink.records.incidents[0].lasted_s == pytest.approx(10, abs=0.5)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
 
 from scanhsi.clock import sleep_until_ns
 from scanhsi.devices import Actuator, Camera, ForetellsEnd, Motion, Sweep, Sweeps, TellsStart, require
@@ -16,6 +17,8 @@ from scanhsi.devices.errors import MotionFailed, ProtocolError
 from scanhsi.engine.deadlines import STOP_S, Part
 from scanhsi.engine.plan import Mode
 from scanhsi.engine.scan import Scan
+
+T = TypeVar("T")
 
 APPROACH_STEPS = 64
 """The mirror comes to a line that is taken again from the same side as before, from so many steps off: two full steps of a motor
@@ -249,12 +252,16 @@ async def unless_halted(scan: Scan, motion: Coroutine[None, None, Motion]) -> Mo
     if scan.control.halted:
         motion.close()
         return None
-    moving = asyncio.ensure_future(motion)
-    halted = asyncio.ensure_future(scan.control.until_halted())
+    return await unless(scan.control.until_halted(), motion)
+
+
+async def unless(ended: Coroutine[Any, Any, object], work: Coroutine[Any, Any, T]) -> T | None:
+    """Run work to its end, or cancel it when ``ended`` comes first; None then."""
+    working, waiting = asyncio.ensure_future(work), asyncio.ensure_future(ended)
     try:
-        await asyncio.wait([moving, halted], return_when=asyncio.FIRST_COMPLETED)
-        return moving.result() if moving.done() else None
+        await asyncio.wait([working, waiting], return_when=asyncio.FIRST_COMPLETED)
+        return working.result() if working.done() else None
     finally:
-        moving.cancel()
-        halted.cancel()
-        await asyncio.gather(moving, halted, return_exceptions=True)
+        working.cancel()
+        waiting.cancel()
+        await asyncio.gather(working, waiting, return_exceptions=True)

@@ -21,6 +21,7 @@ from scanhsi.devices.errors import (
     UnsupportedFeature,
 )
 from scanhsi.engine.cleanup import clean_up
+from scanhsi.engine.control import unless
 from scanhsi.engine.deadlines import CLOSE_S, CONNECT_S, STOP_S, Part
 from scanhsi.engine.plan import OnFault
 from scanhsi.engine.safety import make_safe
@@ -106,14 +107,16 @@ async def _bring_back(scan: Scan, part: Part, until_ns: int) -> DeviceError | No
     for wait_s in _waits_s():
         await _close(scan, part, close)
         try:
-            async with scan.watch(part, CONNECT_S, "connect"):
-                await reopen(scan)
+            async with scan.watch(part, _limit_s(until_ns), "connect"):
+                await unless(scan.control.stop.wait(), reopen(scan))
         except DeviceError as error:
             if isinstance(error, PositionLost) or now_ns() + round(wait_s * 1e9) > until_ns:
                 scan.did("it did not come back")
                 return error
             _log.info("not back yet", device=name, operation="recover", error=str(error))
         else:
+            if scan.control.stop.is_set():
+                return None
             scan.did(f"{name} opened anew")
             _log.info("back", device=name, operation="recover", waited_s=(now_ns() - began_ns) * 1e-9)
             return None
@@ -123,6 +126,11 @@ async def _bring_back(scan: Scan, part: Part, until_ns: int) -> DeviceError | No
         if scan.control.stop.is_set():
             return None
     return None
+
+
+def _limit_s(until_ns: int) -> float:
+    """Of one attempt: no longer than what is left, but for the first one of a very short time."""
+    return min(CONNECT_S, max((until_ns - now_ns()) * 1e-9, FIRST_WAIT_S))
 
 
 def _waits_s() -> Iterator[float]:

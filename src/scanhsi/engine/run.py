@@ -93,8 +93,12 @@ async def run_scan(
     elif stop is not None:
         raise ValueError("give either stop or control")
     try:
-        scan, take_leg = await _prepare(course, camera, actuator, sink, limits, on_progress, control, first)
+        course = check(course, camera, actuator, limits)
+        scan = _new_scan(course, camera, actuator, sink, first)
+        scan.control, scan.on_progress = control, on_progress
+        scan.limits = limits or scan.limits
         _use_light(scan, light)
+        take_leg = await _configure(scan)
         await _open_sink(scan)
     except BaseException:
         await clean_up([_close_sink(sink)])  # one that goes on with a cube holds its lock already
@@ -109,39 +113,24 @@ async def run_scan(
     return report(scan, now_ns())
 
 
-async def _prepare(
-    course: Course,
-    camera: Camera,
-    actuator: Actuator,
-    sink: LineSink,
-    limits: Range | None,
-    on_progress: Callable[[Progress], None] | None,
-    control: ScanControl,
-    first: int,
-) -> tuple[Scan, TakeLeg]:
-    """Refuse what can be refused, configure the camera; return the scan and what takes a leg of it."""
-    course = check(course, camera, actuator, limits)
-    scan = Scan(
+def _new_scan(course: Course, camera: Camera, actuator: Actuator, sink: LineSink, first: int) -> Scan:
+    return Scan(
         course=course,
         camera=camera,
         actuator=actuator,
         sink=sink,
         camera_info=camera.info,
         actuator_info=actuator.info,
-        limits=limits or actuator.info.limits,
+        limits=actuator.info.limits,
         records=LineRecords(course.lines),
         deadlines=deadlines(camera.info, actuator.info, course.settings.exposure_s, course.stride),
         watch=Watch({Part.CAMERA: camera.info.name, Part.ACTUATOR: actuator.info.name, Part.STORAGE: "storage"}),
         credits=Credits(CAMERA_BUFFERS, lambda: sink.capacity, first),
-        control=control,
         faults=Faults(course.recovery),
         first=first,
         taken=first,
-        on_progress=on_progress,
+        latencies=None if course.look_ahead is None else Latencies(course.look_ahead),
     )
-    if course.look_ahead is not None:
-        scan.latencies = Latencies(course.look_ahead)
-    return scan, await _configure(scan)
 
 
 def _use_light(scan: Scan, light: Light | None) -> None:

@@ -155,8 +155,8 @@ class Scan:
         watch: The watchdogs.
         credits: Which lines may be in memory. In step modes a trigger needs one, so nothing is ever dropped; in a sweep a
             frame without one is dropped and counted.
-        control: Somebody's wish to stop or to pause.
         faults: So far.
+        control: Somebody's wish to stop or to pause.
         light: On from before the first line until no line is left; None where nothing can be switched.
         first: First line of this session; those before it were stored by an earlier one.
         on_progress: Told at most four times a second.
@@ -186,8 +186,8 @@ class Scan:
     deadlines: Deadlines
     watch: Watch
     credits: Credits
-    control: ScanControl
     faults: Faults
+    control: ScanControl = field(default_factory=ScanControl)
     light: Light | None = None
     first: int = 0
     on_progress: Callable[[Progress], None] | None = None
