@@ -23,6 +23,9 @@ from scanhsi.devices.errors import CalibrationError
 Floats = NDArray[np.float64]
 Path_ = str | Path
 
+RUN_IN: Final = 16
+"""Steps on which the mirror takes up the play of its drive."""
+
 _UNWRAPPINGS: Final = 20
 _SLOW: Final = 3  # degree of the curve that perspective bends even motion into
 
@@ -35,6 +38,7 @@ def jitter_from_cube(
     plane: Geometry | None = None,
     turn: Turn = None,
     harmonics: int = 2,
+    run_in: int = RUN_IN,
 ) -> Jitter:
     """Jitter of every scan line, from a target of slanted lines (figure 8).
 
@@ -45,20 +49,23 @@ def jitter_from_cube(
         plane: The geometry as measured; the instrument file's by default.
         turn: Steps of a turn of the shaft that is out of true; ``"find"`` looks for it. None: as the geometry has it, else found.
         harmonics: Of that turn that are taken out.
+        run_in: Steps at the beginning that are left out: there the mirror takes up the play.
 
     Raises:
         CalibrationError: No pattern; see `displacements` and `jitter`.
     """
     picture = target_picture(cube)
+    begun = _begun(picture, run_in)
+    seen, at = picture.values[begun], picture.steps[begun]
     plane = plane or picture.plane
-    moved = displacements(picture.values, math.tan(math.radians(slant_deg)), plane.sample_pitch_mm)
+    moved = displacements(seen, math.tan(math.radians(slant_deg)), plane.sample_pitch_mm)
     period = along_scan(slant_deg, period_mm)
     if turn is None and math.isfinite(plane.turn_steps):
         turn = plane.turn_steps
-    steps = turn if isinstance(turn, float | int) else _found_turn(picture.steps, moved, period)
+    steps = turn if isinstance(turn, float | int) else _found_turn(at, moved, period)
     if steps is None:
         harmonics = 0
-    phase = 2 * np.pi * picture.steps / (steps or math.inf)
+    phase = 2 * np.pi * at / (steps or math.inf)
     moved, slow = _unwrapped(moved, phase, harmonics, period)
     return jitter(
         phase,
@@ -100,7 +107,7 @@ def _unwrapped(moved: Floats, phase: Floats, harmonics: int, period_mm: float) -
     return moved, slowly @ coefficients[: _SLOW + 1]
 
 
-def backlash_from_cubes(cubes: Sequence[Path_], *, plane: Geometry | None = None, run_in: int = 16) -> Backlash:
+def backlash_from_cubes(cubes: Sequence[Path_], *, plane: Geometry | None = None, run_in: int = RUN_IN) -> Backlash:
     """Backlash, from scans upwards and as many downwards over the same target.
 
     Args:
@@ -115,13 +122,17 @@ def backlash_from_cubes(cubes: Sequence[Path_], *, plane: Geometry | None = None
     ups, downs = _ways(pictures)
     common = pictures[0].steps
     for picture in pictures:
-        low, high = (run_in, 0) if picture.upwards else (0, run_in)
-        begun = (picture.steps >= picture.steps[0] + low) & (picture.steps <= picture.steps[-1] - high)
-        common = np.intersect1d(common, picture.steps[begun])
+        common = np.intersect1d(common, picture.steps[_begun(picture, run_in)])
     if not common.size:
         raise CalibrationError("the scans have no step in common, besides where they begin.")
     step_mm = _step_mm(plane or pictures[0].plane)
     return backlash(_at(ups, common), _at(downs, common), common, step_mm, provenance_of(opened(cubes), cubes))
+
+
+def _begun(picture: TargetPicture, run_in: int) -> NDArray[np.bool_]:
+    """Lines beyond those on which the mirror took up the play."""
+    low, high = (run_in, 0) if picture.upwards else (0, run_in)
+    return (picture.steps >= picture.steps[0] + low) & (picture.steps <= picture.steps[-1] - high)
 
 
 def _ways(pictures: Sequence[TargetPicture]) -> tuple[list[TargetPicture], list[TargetPicture]]:

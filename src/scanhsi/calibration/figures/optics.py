@@ -58,6 +58,10 @@ def draw_jitter(result: Jitter) -> Figure:
     left.plot(residual, ".", color=BLUE, markersize=3)
     left.set_xlabel("line")
     left.set_ylabel("displacement / mm")
+    if np.isfinite(result.turn_steps):
+        left.set_title(
+            f"less a turn of {result.turn_steps:.0f} steps, $\\pm$ {result.misalignment_mm:.2f} mm", fontsize=7.5
+        )
     count = max(8, min(40, len(residual) // 8))
     middle.hist(residual, count, density=True, color=BLUE)
     place = np.linspace(-4 * result.sigma_mm, 4 * result.sigma_mm, 200)

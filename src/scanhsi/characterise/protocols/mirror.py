@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 from scanhsi.calibration.backlash import Backlash
 from scanhsi.calibration.geometry import Geometry, Turn
 from scanhsi.calibration.jitter import Jitter
 from scanhsi.calibration.repeatability import Repeatability
 from scanhsi.characterise.mirror_from_cubes import (
+    RUN_IN,
     backlash_from_cubes,
     jitter_from_cube,
     repeatability_from_cubes,
 )
 from scanhsi.characterise.protocols.base import Protocols, finish
 from scanhsi.characterise.station import SLANTED_LINES
-
-_RUN_IN: Final = 16  # steps on which the mirror takes up the play
 
 
 class MirrorProtocols(Protocols):
@@ -83,14 +81,14 @@ class MirrorProtocols(Protocols):
         async with self.station(output) as at:
             await at.look_at(SLANTED_LINES)
             exposure = await self.exposure(exposure_s)
-            first, last = self.steps_around(half_mm, spare=_RUN_IN)
-            up = self.stepwise(first - _RUN_IN, last, exposure)
-            down = self.stepwise(last + _RUN_IN, first, exposure, step=-1)
+            first, last = self.steps_around(half_mm, spare=RUN_IN)
+            up = self.stepwise(first - RUN_IN, last, exposure)
+            down = self.stepwise(last + RUN_IN, first, exposure, step=-1)
             cubes: list[Path] = []
             for run in range(runs):
                 cubes.append(await at.take(f"upwards-{run}", SLANTED_LINES, up))
                 cubes.append(await at.take(f"downwards-{run}", SLANTED_LINES, down))
-            return await finish(output, lambda: backlash_from_cubes(cubes, plane=plane, run_in=_RUN_IN))
+            return await finish(output, lambda: backlash_from_cubes(cubes, plane=plane, run_in=RUN_IN))
 
     async def repeatability(
         self,
