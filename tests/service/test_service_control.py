@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 from pathlib import Path
 
 import pytest
 
 import scanhsi
+from scanhsi.characterise.calibrator import Calibrator
 from scanhsi.cube.verify import verify_cube
+from scanhsi.service.calibrations import CALIBRATIONS
 from support.service import Service, small, with_service
 
 
@@ -196,6 +199,28 @@ def test_a_calibration_waits_for_a_person(tmp_path: Path, monkeypatch: pytest.Mo
         assert (await http.post(f"/jobs/{asked['id']}/confirm")).status_code == 409
 
     with_service(tmp_path, use, small(**{"camera.scene": "dark"}))
+
+
+def test_options_of_calibrations_are_checked(tmp_path: Path) -> None:
+    async def use(service: Service) -> None:
+        http = service.http
+        await service.take_control()
+        unknown = await http.post("/calibrations", json={"kind": "dark", "tile": 0.5})
+        assert (unknown.status_code, unknown.json()["problems"]) == (422, ["tile: dark has no such option"])
+        absent = await http.post("/calibrations", json={"kind": "white", "dark": "none.nc"})
+        assert (absent.status_code, absent.json()["error"]) == (404, "NoSuch")
+        assert (await http.get("/jobs")).json() == []
+
+    with_service(tmp_path, use)
+
+
+def test_every_protocol_can_be_asked_for() -> None:
+    protocols = {
+        name
+        for name, protocol in inspect.getmembers(Calibrator, inspect.iscoroutinefunction)
+        if "output" in inspect.signature(protocol).parameters and not name.startswith("_")
+    }
+    assert protocols - set(CALIBRATIONS) == {"wavelength_tile"}  # which needs a certificate
 
 
 def test_the_live_view_gives_way_and_comes_back(tmp_path: Path) -> None:

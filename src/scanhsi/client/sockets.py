@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import AsyncGenerator
+from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,20 +47,22 @@ class SeenFrame:
 
 
 async def events(url: str, token: str | None) -> AsyncGenerator[Happened]:
-    """What happens, from now on."""
-    async for message in _messages(f"{url}/events", token):
-        told: dict[str, Any] = json.loads(message)
-        yield Happened(told["type"], told["data"], told["dropped"])
+    """What happens, from now on. Close it (`contextlib.aclosing`) to close the connection at once."""
+    async with aclosing(_messages(f"{url}/events", token)) as messages:
+        async for message in messages:
+            told: dict[str, Any] = json.loads(message)
+            yield Happened(told["type"], told["data"], told["dropped"])
 
 
 async def preview(url: str, token: str | None, fps: float) -> AsyncGenerator[SeenFrame]:
-    """What is seen, the latest only."""
-    async for message in _messages(f"{url}/preview?fps={fps:g}", token):
-        assert isinstance(message, bytes), "pictures are binary"
-        length = int.from_bytes(message[:4], "little")
-        facts: dict[str, Any] = json.loads(message[4 : 4 + length])
-        pixels = np.frombuffer(message, np.uint8, offset=4 + length).reshape(facts["shape"])
-        yield SeenFrame(facts["kind"], facts, pixels)
+    """What is seen, the latest only. Close it as `events`."""
+    async with aclosing(_messages(f"{url}/preview?fps={fps:g}", token)) as messages:
+        async for message in messages:
+            assert isinstance(message, bytes), "pictures are binary"
+            length = int.from_bytes(message[:4], "little")
+            facts: dict[str, Any] = json.loads(message[4 : 4 + length])
+            pixels = np.frombuffer(message, np.uint8, offset=4 + length).reshape(facts["shape"])
+            yield SeenFrame(facts["kind"], facts, pixels)
 
 
 async def _messages(url: str, token: str | None) -> AsyncGenerator[str | bytes]:

@@ -112,6 +112,7 @@ class Preview:
         self._making: asyncio.Task[None] | None = None
         self._last_ns = -(10**18)
         self._previous: Pixels | None = None
+        self._spare: Pixels | None = None
         self._thin: list[tuple[int, Pixels]] = []
         self._picture: NDArray[np.uint8] = np.zeros((0, 1, 3), np.uint8)
         self.frame: bytes | None = None
@@ -179,9 +180,18 @@ class Preview:
         wanted = bool(self._viewers) and due
         if wanted or self._thin:
             self._last_ns = now if wanted else self._last_ns
-            copy = pixels.copy() if wanted else None
+            copy = self._copied(pixels) if wanted else None
             seen = Seen(line, int(records.stamps["received"][line]), copy)
             self._making = asyncio.get_running_loop().create_task(self._make(showing, seen), name="preview")
+
+    def _copied(self, pixels: Pixels) -> Pixels:
+        """A copy, in memory that was used before: fresh pages would cost more than the copying."""
+        copy = self._spare
+        if copy is None or copy.shape != pixels.shape or copy.dtype != pixels.dtype:
+            copy = np.empty_like(pixels)
+        self._spare = None
+        np.copyto(copy, pixels)
+        return copy
 
     async def finish(self) -> None:
         """What passed before is made visible."""
@@ -199,7 +209,7 @@ class Preview:
         if showing is not self._showing:
             return
         if view is not None:
-            self._previous = seen.pixels
+            self._spare, self._previous = self._previous, seen.pixels
             self._show(showing, seen, view)
         if rows is not None:  # a row whose line was lost stays black
             self._picture[[row for row, _ in thin]] = rows

@@ -59,6 +59,12 @@ class TooLarge(Refused):
     status = 413
 
 
+class TooSlow(Refused):
+    """The body did not come in time."""
+
+    status = 408
+
+
 class TooMany(Refused):
     """More requests than a person or a script of good will sends."""
 

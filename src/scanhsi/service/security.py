@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import ipaddress
 import json
@@ -24,9 +25,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from scanhsi.log import get_logger
 from scanhsi.service.problems import MEDIA_TYPE, problem_of
-from scanhsi.service.refusals import CrossSite, Refused, TooLarge, TooMany, Unauthorized
+from scanhsi.service.refusals import CrossSite, Refused, TooLarge, TooMany, TooSlow, Unauthorized
 
 LARGEST_BODY: Final = 1_000_000
+BODY_WITHIN_S: Final = 20.0
 MOST_SOCKETS: Final = 64
 _ADDRESSES: Final = 1024
 _SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -190,7 +192,12 @@ class Guard:
         if length is not None and (not length.isdigit() or int(length) > LARGEST_BODY):
             await _refuse(_too_large(), scope, receive, send)
             return
-        body = await _body(receive) if scope["method"] not in _SAFE else b""
+        try:
+            async with asyncio.timeout(BODY_WITHIN_S):
+                body = await _body(receive) if scope["method"] not in _SAFE else b""
+        except TimeoutError:
+            await _refuse(TooSlow(f"the body did not come within {BODY_WITHIN_S:g} s."), scope, receive, send)
+            return
         if body is None:
             await _refuse(_too_large(), scope, receive, send)
             return

@@ -10,6 +10,7 @@ import socket
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 import uvicorn
 
@@ -20,6 +21,8 @@ from scanhsi.log import as_json
 from scanhsi.service.app import create_app
 from scanhsi.service.security import LARGEST_BODY, Security
 from scanhsi.service.station import Station, open_station
+
+MOST_CONNECTIONS: Final = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +81,7 @@ async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, tol
                 access_log=False,
                 log_config=None,
                 lifespan="off",
+                limit_concurrency=MOST_CONNECTIONS,
                 server_header=False,
                 timeout_keep_alive=30,
                 timeout_graceful_shutdown=3,
@@ -85,7 +89,7 @@ async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, tol
                 ssl_keyfile=serving.key,
             )
         )
-        with _ended_by_signals(server), _log_told(station):
+        with _ended_by_signals(server, station), _log_told(station):
             told(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}")
             await server.serve(sockets=[listening])
 
@@ -130,10 +134,12 @@ def _log_told(station: Station) -> Generator[None]:
 
 
 @contextlib.contextmanager
-def _ended_by_signals(server: uvicorn.Server) -> Generator[None]:
+def _ended_by_signals(server: uvicorn.Server, station: Station) -> Generator[None]:
     loop = asyncio.get_running_loop()
+    ending: list[asyncio.Task[None]] = []
 
     def end() -> None:
+        ending.append(loop.create_task(station.close()))  # at once: connections are given some seconds
         server.force_exit = server.should_exit
         server.should_exit = True
 

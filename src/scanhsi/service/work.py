@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final
 
 import numpy as np
 from pydantic import ValidationError
@@ -23,15 +23,12 @@ from scanhsi.devices import PixelFormat
 from scanhsi.devices.errors import ConfigError, CubeError
 from scanhsi.devices.frames import Pixels
 from scanhsi.engine import Course, Mode, Progress, ScanControl, ScanPlan, ScanReport
+from scanhsi.service.calibrations import Calibration
 from scanhsi.service.jobs import Job, plain
 from scanhsi.service.station import Station
 from scanhsi.timing.observed import deliveries
 from scanhsi.timing.spans import shares, stage_spans
 
-Calibration = Literal[
-    "dark", "white", "photon_transfer", "snr", "light", "geometry", "jitter", "resolution", "wavelength"
-]
-CALIBRATIONS: Final[tuple[str, ...]] = get_args(Calibration)
 _BUDGET_LINES: Final = 40
 
 
@@ -236,7 +233,9 @@ def benchmark_job(
 _MEASURED: Final = ("mode", "exposure_s", "period_s", "lines_per_second", "efficiency", "bound_s", "regret", "missing")
 
 
-def calibration_job(station: Station, kind: Calibration, output: str | None, options: dict[str, Any]) -> Job:
+def calibration_job(
+    station: Station, kind: Calibration, output: str | None, options: dict[str, Any], asked: dict[str, Any]
+) -> Job:
     """Start a calibration. A person is asked for targets, unless the camera is simulated and knows them.
 
     Raises:
@@ -245,7 +244,7 @@ def calibration_job(station: Station, kind: Calibration, output: str | None, opt
     """
     path = station.folder.new(output or f"{kind}-{datetime.now():%Y%m%d-%H%M%S}.nc", ".nc")
     job = Job("calibration", f"calibration: {kind.replace('_', ' ')}", path.name)
-    job.request = {"kind": kind, **options}
+    job.request = asked
 
     async def work(job: Job) -> dict[str, Any]:
         async def prompt(target: Target) -> None:

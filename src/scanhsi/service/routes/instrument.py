@@ -10,6 +10,7 @@ from fastapi import APIRouter
 from scanhsi.devices import ShowsScenes
 from scanhsi.devices.capabilities import capabilities_of
 from scanhsi.engine import Mode
+from scanhsi.service.calibrations import CALIBRATIONS
 from scanhsi.service.downloads import FORMATS
 from scanhsi.service.jobs import plain
 from scanhsi.service.models import (
@@ -25,7 +26,6 @@ from scanhsi.service.models import (
 )
 from scanhsi.service.routes.common import IN_CONTROL, StationHere, problems
 from scanhsi.service.station import MirrorState
-from scanhsi.service.work import CALIBRATIONS
 
 router = APIRouter()
 

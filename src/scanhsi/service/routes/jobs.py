@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
 from pydantic import Field
 
-from scanhsi.service.models import BenchmarkBody, Body, JobModel, Name, ScanBody
+from scanhsi.service.calibrations import CalibrationBody, options_of
+from scanhsi.service.models import BenchmarkBody, Body, JobModel, ScanBody
 from scanhsi.service.recipes import read_recipe
 from scanhsi.service.routes.common import IN_CONTROL, CubeId, StationHere, problems
 from scanhsi.service.work import (
-    Calibration,
     auto_exposure_job,
     benchmark_job,
     calibration_job,
@@ -22,33 +22,6 @@ from scanhsi.service.work import (
 
 router = APIRouter()
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{1,32}$", description="Id of the job.", examples=["3f9c1a2b4d5e"])]
-
-
-class CalibrationBody(Body):
-    """A calibration to be made."""
-
-    kind: Calibration
-    output: Name | None = Field(default=None, description="File of the result; a name with date and time if left out.")
-    frames: int | None = Field(default=None, ge=2, le=1000, description="Frames to average, where the protocol does.")
-    exposure_s: float | None = Field(default=None, gt=0, description="Found by auto-exposure if left out.")
-
-    def options(self) -> dict[str, Any]:
-        """Options of the protocol."""
-        given = {"frames": self.frames, "exposure_s": self.exposure_s}
-        return {name: value for name, value in given.items() if value is not None and name in _TAKES[self.kind]}
-
-
-_TAKES: dict[str, frozenset[str]] = {
-    "dark": frozenset({"frames"}),
-    "white": frozenset({"frames", "exposure_s"}),
-    "photon_transfer": frozenset(),
-    "snr": frozenset({"frames"}),
-    "light": frozenset({"frames", "exposure_s"}),
-    "geometry": frozenset({"exposure_s"}),
-    "jitter": frozenset({"exposure_s"}),
-    "resolution": frozenset({"exposure_s"}),
-    "wavelength": frozenset({"frames", "exposure_s"}),
-}
 
 
 class AutoExposureBody(Body):
@@ -78,10 +51,12 @@ async def resume_scan(station: StationHere, id: CubeId) -> JobModel:
     return JobModel.of(continued_job(station, id))
 
 
-@router.post("/calibrations", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409))
+@router.post("/calibrations", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(404, 409))
 async def start_calibration(station: StationHere, body: CalibrationBody) -> JobModel:
     """Calibrate. Where a person has to put something before the instrument, the job waits until that is confirmed."""
-    return JobModel.of(calibration_job(station, body.kind, body.output, body.options()))
+    options = await station.background.run(options_of, body, station.folder)
+    asked = body.model_dump(mode="json", exclude_none=True)
+    return JobModel.of(calibration_job(station, body.kind, body.output, options, asked))
 
 
 @router.post("/benchmarks", tags=["jobs"], status_code=201, dependencies=[IN_CONTROL], responses=problems(409))
