@@ -15,6 +15,8 @@ from scanhsi import clock
 from scanhsi.bench.findings import look_through
 from scanhsi.bench.lines import LineSweep, measure_lines
 from scanhsi.bench.paper import Made, draw_paper
+from scanhsi.calibration.figures.grid import draw_grid
+from scanhsi.calibration.geometry import Geometry
 from scanhsi.calibration.jitter import jitter
 from scanhsi.calibration.lines import hgar
 from scanhsi.calibration.resolution import BarContrast
@@ -100,6 +102,18 @@ def test_every_figure_of_the_results_has_its_counterpart(made: dict[int, Made]) 
         assert picture.shape[1] == 1460, "as wide as a page"
         assert np.ptp(picture[..., :3]) > 0.9
         assert pdf.read_bytes().startswith(b"%PDF")
+
+
+def test_a_shaft_out_of_true_is_drawn_as_the_wave_that_it_is() -> None:
+    shaft = {"turn_steps": 320.0, "shaft_cos_steps": 1.5, "shaft_sigma_steps": 0.1}
+    plane = Geometry(348.73, 0.0, 2 * np.pi / 19_200, 0.1, 599.5, MADE_UP, residual_mm=0.1, **shaft)
+    step = np.linspace(-260, 260, 21)
+    axes = draw_grid(plane, step, plane.y_mm(step), 6.0).axes[2]
+    dots, wave = axes.lines[1], axes.lines[2]
+    assert np.ptp(wave.get_ydata()) == pytest.approx(2 * 1.5 * 0.2282, rel=0.02)
+    np.testing.assert_allclose(
+        dots.get_ydata(), np.interp(step, np.linspace(-260, 260, 300), wave.get_ydata()), atol=0.01
+    )
 
 
 def test_what_is_missing_in_a_figure_is_told(made: dict[int, Made]) -> None:

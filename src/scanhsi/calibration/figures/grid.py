@@ -82,7 +82,7 @@ def draw_grid(plane: Geometry, step: ArrayLike, y_mm: ArrayLike, pitch_mm: float
     words = [f"$\\sigma$ = {plane.residual_mm:.2f} mm"] if math.isfinite(plane.residual_mm) else []
     if math.isfinite(plane.turn_steps):
         right.plot(degrees, plane.y_mm(many) - even.y_mm(many), color=ORANGE, linewidth=1)
-        words.append(f"around a shaft out of true, {plane.turn_steps:.0f} steps a turn")
+        words.append(f"around a shaft out of true,\n{plane.turn_steps:.0f} steps a turn")
     right.set_title(" ".join(words), fontsize=7)
     right.set_ylabel("grid less model / mm")
     for axes in (left, middle, right):
