@@ -121,8 +121,8 @@ def _memory(outcome: Outcome) -> Iterator[str]:
 
 
 def _moving_while_exposing(outcome: Outcome) -> Iterator[str]:
-    plan = outcome.case.plan
-    if plan["mode"] == Mode.CONTINUOUS or "look_ahead" in plan:
+    plan = outcome.plan
+    if plan.mode is Mode.CONTINUOUS or plan.look_ahead is not None:
         return  # see `_smeared` for what look-ahead accepts
     for sight in outcome.witness.sights.values():
         if not sight.still:
@@ -163,16 +163,16 @@ def _harmless(fault: Fault) -> bool:
 
 def _gives_up(outcome: Outcome) -> Iterator[str]:
     """One fault that can be mended ends no scan that is to try again, and in step modes costs no line."""
-    plan, error = outcome.case.plan, outcome.error
+    plan, error = outcome.plan, outcome.error
     limits = {"line_retries", "retries", "recover_within_s"}
-    if plan.get("on_fault") != OnFault.RETRY or limits & plan.keys() or outcome.cancelled:
+    if plan.on_fault is not OnFault.RETRY or limits & outcome.case.plan.keys() or outcome.cancelled:
         return
     serious = [one.fault for one in outcome.faults.happened if not _harmless(one.fault)]
     if len(serious) != 1 or not _mendable(serious[0]):
         return
     if isinstance(error, ScanFailed):
         yield f"after {serious[0]}: {error}"
-    if outcome.report is not None and outcome.report.missing and plan["mode"] != Mode.CONTINUOUS:
+    if outcome.report is not None and outcome.report.missing and plan.mode is not Mode.CONTINUOUS:
         yield f"after {serious[0]}: {outcome.report.missing_reasons}"
 
 
@@ -246,7 +246,7 @@ def _counted(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
             yield f"the report says {told} stored and missing, the cube has {cube.stored}, {cube.reached - cube.stored}"
         if report.missing_reasons != cube.missing:
             yield f"reasons in the report {report.missing_reasons}, in the cube {cube.missing}"
-        if report.stopped_early != (cube.reached < outcome.case.plan["lines"]):
+        if report.stopped_early != (cube.reached < outcome.plan.lines):
             yield f"{cube.reached} lines were reached, and the report says stopped_early={report.stopped_early}"
         if report.stopped_early and Kind.STOP_REQUESTED not in outcome.faults.kinds():
             yield f"only {cube.reached} lines were reached, and nobody had asked to stop"
@@ -270,13 +270,13 @@ def _true(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
 
 
 def _line_is_true(outcome: Outcome, cube: Snapshot, line: int, sight: Sight) -> Iterator[str]:
-    case = outcome.case
     where = f"line {line} of exposure {sight.number}"
-    due = int(case.scan_plan().steps(0)[line])
+    plan = outcome.plan
+    due = int(plan.steps(0)[line])
     low, high = sight.reported
-    if case.plan["mode"] == Mode.CONTINUOUS:
-        near = (high if case.plan["step"] < 0 and case.plan["lines"] > 1 else low) == due
-    elif "look_ahead" in case.plan:
+    if plan.mode is Mode.CONTINUOUS:
+        near = (high if plan.step < 0 and plan.lines > 1 else low) == due
+    elif plan.look_ahead is not None:
         near = due in (low, high) if sight.still or cube.column("smeared")[line] else False
         if not sight.still and not cube.column("smeared")[line]:
             yield f"{where}: the mirror moved, and the line is not flagged as smeared"
@@ -300,7 +300,7 @@ def _line_is_true(outcome: Outcome, cube: Snapshot, line: int, sight: Sight) -> 
 def expected(outcome: Outcome, sight: Sight) -> NDArray[Any]:
     """The pixels that a line of that exposure must have."""
     case = outcome.case
-    bits = {"Mono8": 8, "Mono16": 16}.get(case.plan["pixel_format"], 12)
+    bits = outcome.plan.pixel_format.bits
     warm = outcome.witness.warmth(sight.start_ns)
     pixels = warmed(sight.pixels, warm, bits) if warm else sight.pixels
     if case.bin_samples == 1:
@@ -313,7 +313,7 @@ def expected(outcome: Outcome, sight: Sight) -> NDArray[Any]:
 def _credited(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
     """In step modes no line is exposed before there is room for it."""
     case = outcome.case
-    if case.plan["mode"] == Mode.CONTINUOUS:
+    if outcome.plan.mode is Mode.CONTINUOUS:
         return
     trigger, stored = cube.column("trigger_ns"), cube.column("stored_ns")
     room = SLOTS * case.lines_per_shard

@@ -34,6 +34,7 @@ class FaultyActuator:
         self._faults = faults
         self._witness = witness
         self._position_lost = False
+        self._name = type(inner).__name__
         self._link = FaultyLink(faults, (Kind.ACTUATOR_UNPLUGGED,), lambda error: None)
 
     @property
@@ -59,8 +60,9 @@ class FaultyActuator:
 
     async def connect(self) -> None:
         """Open it, if it is there."""
-        self._link.connect(type(self.inner).__name__)
+        self._link.connect(self._name)
         await self.inner.connect()
+        self._name = self.inner.info.name
         self._position_lost = False
         self._witness.offset, self._witness.homed = 0, self.inner.homed
         if isinstance(self.inner, KnowsMirror):
@@ -155,7 +157,7 @@ class FaultyActuator:
             raise PositionLost("nobody knows where it is.", device=self.info.name, operation=operation, hint="home it.")
 
     async def _call(self, operation: str, call: Coroutine[Any, Any, Motion]) -> Motion:
-        return await self._link.call(self.info.name, operation, call)
+        return await self._link.call(self._name, operation, call)
 
 
 class _Sweeping(FaultyActuator):

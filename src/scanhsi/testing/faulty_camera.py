@@ -50,6 +50,7 @@ class FaultyCamera:
         self._witness = witness
         self._channel = FrameChannel()
         self._pump: asyncio.Task[None] | None = None
+        self._name = type(inner).__name__
         self._link = FaultyLink(faults, (Kind.CAMERA_UNPLUGGED, Kind.CONTROL_LOST), self._lose)
         self._exposure_ns = 0
         self._shutter = Shutter()
@@ -61,8 +62,9 @@ class FaultyCamera:
 
     async def connect(self) -> None:
         """Open it, if it is there."""
-        self._link.connect(type(self.inner).__name__)
+        self._link.connect(self._name)
         await self.inner.connect()
+        self._name = self.inner.info.name
         if isinstance(self.inner, KnowsScene):
             self._witness.scene = self.inner
 
@@ -139,7 +141,7 @@ class FaultyCamera:
         await self._end()
 
     async def _call(self, operation: str, call: Coroutine[Any, Any, Any]) -> Any:
-        return await self._link.call(self.info.name, operation, call)
+        return await self._link.call(self._name, operation, call)
 
     def _lose(self, error: DeviceError) -> None:
         error.device, error.operation = self.info.name, "frames"

@@ -122,14 +122,16 @@ class FaultyDestination:
         Raises:
             OSError: The fault.
         """
-        if (slow := self._faults.due(Kind.WRITE_SLOW)) is not None:
-            self._sleep(slow.for_s or 0.0)
-        for kind in _ENDS:
-            if self._faults.due(kind) is not None and not self.over:
+        kinds = (Kind.WRITE_SLOW, *_ENDS, *_ERRORS)
+        due = {kind: fault for kind in kinds if (fault := self._faults.due(kind)) is not None}
+        if Kind.WRITE_SLOW in due:
+            self._sleep(due[Kind.WRITE_SLOW].for_s or 0.0)
+        for kind in due:
+            if kind in _ENDS and not self.over:
                 self._end(kind)
-        for kind, number in _ERRORS.items():
-            if self._faults.due(kind) is not None and not self.over:
-                raise OSError(number, os.strerror(number), path)
+        for kind in due:
+            if kind in _ERRORS and not self.over:
+                raise OSError(_ERRORS[kind], os.strerror(_ERRORS[kind]), path)
         return not self.over
 
     def _end(self, kind: Kind) -> None:

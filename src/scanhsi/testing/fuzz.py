@@ -17,7 +17,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from multiprocessing.connection import Connection, wait
@@ -87,6 +87,9 @@ def judge(case: Case, scan: int = 0) -> Verdict:
     return Verdict(scan, ended, violations, tuple(sorted(outcome.faults.kinds())))
 
 
+Judge = Callable[[Case, int], Verdict]
+
+
 def fuzz(seed: int | str, scans: Sequence[int]) -> Iterator[Verdict]:
     """Run scans of a seed, in this process."""
     warm_up()
@@ -114,14 +117,14 @@ def _judged(case: Case) -> dict[str, str]:
 # --- processes ------------------------------------------------------------------------------------------------------------
 
 
-def _work(seed: int | str, scans: Sequence[int], to_parent: Any, watchdog_s: float) -> None:
+def _work(seed: int | str, scans: Sequence[int], to_parent: Any, watchdog_s: float, judged: Judge) -> None:
     """Run scans in a process of its own, which ends itself when one of them hangs."""
     logging.disable()
     warm_up()
     for scan in scans:
         faulthandler.dump_traceback_later(watchdog_s, exit=True)
         to_parent.send(scan)
-        to_parent.send(judge(draw(seed, scan), scan))
+        to_parent.send(judged(draw(seed, scan), scan))
     faulthandler.cancel_dump_traceback_later()
     to_parent.close()
 
@@ -133,14 +136,16 @@ class _Worker:
     running: int | None = None
 
 
-def in_processes(seed: int | str, scans: Sequence[int], jobs: int, watchdog_s: float = WATCHDOG_S) -> Iterator[Verdict]:
+def in_processes(
+    seed: int | str, scans: Sequence[int], jobs: int, watchdog_s: float = WATCHDOG_S, judged: Judge = judge
+) -> Iterator[Verdict]:
     """Run scans of a seed in several processes; one that does not end for real is told and the others go on."""
     context = multiprocessing.get_context("spawn")
     workers: dict[Connection, _Worker] = {}
 
     def start(part: list[int]) -> None:
         ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=_work, args=(seed, part, theirs, watchdog_s), daemon=True)
+        process = context.Process(target=_work, args=(seed, part, theirs, watchdog_s, judged), daemon=True)
         process.start()
         theirs.close()
         workers[ours] = _Worker(process, part)

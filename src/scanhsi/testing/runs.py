@@ -18,7 +18,7 @@ import scanhsi
 from scanhsi.clock import now_ns
 from scanhsi.cube.destination import Destination
 from scanhsi.cube.durable import LocalDestination
-from scanhsi.engine import Progress, ScanReport
+from scanhsi.engine import Progress, ScanPlan, ScanReport
 from scanhsi.engine.steering import ScanControl
 from scanhsi.testing.cases import Case
 from scanhsi.testing.faults import Faults
@@ -37,6 +37,7 @@ class Outcome:
 
     Attributes:
         case: It.
+        plan: Its plan.
         faults: Its faults, with what happened.
         witness: What truly happened.
         place: Where the cube is; None where nothing was stored.
@@ -55,6 +56,7 @@ class Outcome:
     """
 
     case: Case
+    plan: ScanPlan
     faults: Faults
     witness: Witness
     place: Destination | None = None
@@ -96,7 +98,7 @@ def run(case: Case) -> Generator[Outcome]:
 
 def _run(case: Case, folder: Path | None) -> Outcome:
     faults = Faults(case.faults)
-    outcome = Outcome(case, faults, Witness())
+    outcome = Outcome(case, case.scan_plan(), faults, Witness())
     before = _handles(), set(threading.enumerate())
     loop = FaultyLoop(faults)
     loop.set_exception_handler(lambda _, context: outcome.unhandled.append(_described(context)))
@@ -137,7 +139,7 @@ async def _scan(case: Case, outcome: Outcome, control: ScanControl, loop: Faulty
     async with scanhsi.open_instrument(config) as hsi:
         outcome.stage = "scan"
         try:
-            outcome.report = await hsi.scan(case.scan_plan(), destination, on_progress=told, control=control)  # pyright: ignore[reportArgumentType] destinations pass through
+            outcome.report = await hsi.scan(outcome.plan, destination, on_progress=told, control=control)  # pyright: ignore[reportArgumentType] destinations pass through
         finally:
             now = now_ns()
             outcome.mirror_still = outcome.witness.still(now, now + _A_WHILE_NS)
