@@ -68,6 +68,13 @@ class OpticsOptions(_Table, frozen=True):
         description="dispersion: polynomial of channel = band / 5, constant first",
     )
     lsf_fwhm_nm: float = Field(default=2.9, gt=0, description="full width at half maximum of the line spread function")
+    lsf_blur: float | None = Field(
+        default=None,
+        ge=0.05,
+        le=0.42,
+        description="standard deviation of the blur of lens and pixel over that full width, the rest of which is the slit: "
+        "0.05 is almost a box; default: a Gaussian",
+    )
     smile_px: float = Field(
         default=0.8, ge=-1, le=1, description="bands by which a spectral line is bent at the ends of the slit"
     )

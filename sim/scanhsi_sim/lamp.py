@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanhsi_sim.effects import Setup
-from scanhsi_sim.optics import FWHM, efficiency, wavelengths
+from scanhsi_sim.optics import efficiency, line_shape, wavelengths
 
 _FLICKER = 1  # a stream of random numbers of its own
 
@@ -58,10 +58,10 @@ def hgar_lines() -> tuple[SpectralLine, ...]:
 
 
 def hgar_rates(setup: Setup) -> NDArray[np.float64]:
-    """Electrons per second of the spectral lamp, (bands,): lines of the shape of the slit's image, point-sampled Gaussians."""
+    """Electrons per second of the spectral lamp, (bands,): lines of the shape of the slit's image, point-sampled."""
     wavelength = wavelengths(setup)
     band = np.arange(len(wavelength))
-    sigma = setup.optics.lsf_fwhm_nm / FWHM / float(np.mean(np.diff(wavelength)))
+    fwhm = setup.optics.lsf_fwhm_nm / float(np.mean(np.diff(wavelength)))
     rates = np.zeros(len(wavelength))
     for element, brightest in (("Hg", setup.lamp.hg_e_per_s), ("Ar", setup.lamp.ar_e_per_s)):
         lines = [line for line in hgar_lines() if line.element == element]
@@ -72,5 +72,5 @@ def hgar_rates(setup: Setup) -> NDArray[np.float64]:
             continue
         strength *= brightest / strength[inside].max()
         centre = np.interp(where[inside], wavelength, band, left=-1e3, right=1e6)
-        rates += np.exp(-(((band[:, None] - centre) / sigma) ** 2) / 2) @ strength[inside]
+        rates += line_shape((band[:, None] - centre) / fwhm, setup.optics.lsf_blur) @ strength[inside]
     return rates

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage, optimize
 from scipy.interpolate import CubicSpline
+from scipy.special import ndtr
 
 from scanhsi_sim.effects import LampOptions, OpticsOptions, Setup
 from scanhsi_sim.filters import blur
@@ -66,17 +68,45 @@ def electron_rates(wavelength: Spectrum, lamp: LampOptions | None = None) -> Spe
     return rates * (lamp.white_e_per_s / rates.max())
 
 
-def spread_lines(spectra: Spectrum, wavelength: Spectrum, fwhm_nm: float = _DEFAULTS.lsf_fwhm_nm) -> Spectrum:
-    """Spectra (bands, K) as the slit smears them: a Gaussian line spread function."""
-    nm_per_band = float(np.mean(np.diff(wavelength)))
-    return np.asarray(blur(spectra, (fwhm_nm / FWHM / nm_per_band, 0), reach=5.0), np.float64)
+@cache
+def _slit(sigma: float) -> float:
+    """Width of the box that, blurred by a Gaussian of this standard deviation, becomes a line of full width 1."""
+
+    def half(box: float) -> float:
+        return float(_blurred(0.5, box, sigma)) - 0.5
+
+    return float(cast("Any", optimize.brentq(half, 1e-3, 1.0)))
+
+
+def _blurred(place: Any, box: float, sigma: float) -> Any:
+    edges = ndtr((place + box / 2) / sigma) - ndtr((place - box / 2) / sigma)
+    return edges / (2 * ndtr(box / 2 / sigma) - 1)
+
+
+def line_shape(place: Spectrum, sigma: float | None = None) -> Spectrum:
+    """A line of height 1 and full width 1 at half maximum: the image of the slit, a box, blurred by lens and pixel, a Gaussian."""
+    if sigma is None:
+        return np.exp(-((place * FWHM) ** 2) / 2)
+    return np.asarray(_blurred(place, _slit(sigma), sigma), np.float64)
+
+
+def spread_lines(
+    spectra: Spectrum, wavelength: Spectrum, fwhm_nm: float = _DEFAULTS.lsf_fwhm_nm, sigma: float | None = None
+) -> Spectrum:
+    """Spectra (bands, K) as the slit smears them."""
+    fwhm = fwhm_nm / float(np.mean(np.diff(wavelength)))
+    if sigma is None:
+        return np.asarray(blur(spectra, (fwhm / FWHM, 0), reach=5.0), np.float64)
+    reach = math.ceil(2.5 * fwhm)
+    kernel = line_shape(np.arange(-reach, reach + 1) / fwhm, sigma)
+    return cast("Spectrum", ndimage.convolve1d(spectra, kernel / kernel.sum(), axis=0, mode="nearest"))
 
 
 def reflected(reflectances: Spectrum, setup: Setup) -> Spectrum:
     """Electron rates (bands, K) of surfaces in the light of the halogen lamp, smeared by the slit."""
     wavelength = wavelengths(setup)
     light = electron_rates(wavelength, setup.lamp)[:, None]
-    return spread_lines(reflectances * light, wavelength, setup.optics.lsf_fwhm_nm)
+    return spread_lines(reflectances * light, wavelength, setup.optics.lsf_fwhm_nm, setup.optics.lsf_blur)
 
 
 class Spectrograph:

@@ -9,6 +9,7 @@ from scanhsi.calibration.peaks import gaussian
 from scanhsi.calibration.result import Provenance, load, save
 from scanhsi.calibration.wavelength import Wavelength, calibrate_with_lamp
 from scanhsi.devices.errors import CalibrationError
+from scanhsi_sim.optics import line_shape
 from support.lamps import BANDS, TRUTH_NM, lamp, noisy
 
 RNG = np.random.default_rng
@@ -41,6 +42,19 @@ def test_errors_are_what_they_say():
 def test_the_width_of_a_line_to_two_percent_although_half_of_them_overlap(fwhm_nm: float):
     found = calibrate_with_lamp(noisy(lamp(fwhm_nm=fwhm_nm), 1, 100), Provenance())
     np.testing.assert_allclose(found.fwhm_nm([450, 600, 900]), fwhm_nm, rtol=0.02)
+
+
+@pytest.mark.parametrize("blur", [0.3, 0.147, 0.09])
+def test_lines_of_a_wide_slit_have_flat_tops_and_a_gaussian_would_be_up_to_a_tenth_too_narrow(blur: float):
+    spectrum = np.zeros(len(BANDS))
+    for nm, height, species in zip(hgar().wavelength_nm, hgar().intensity, hgar().species, strict=True):
+        place = np.interp(nm, TRUTH_NM, BANDS, left=-99, right=9999)
+        share = height / (12_000 if species == "Hg I" else 25_000)
+        spectrum += 3000 * share * line_shape((BANDS - place) / 5.4, blur)
+    found = calibrate_with_lamp(noisy(spectrum, 1, 50), Provenance())
+    assert rms(found) < 0.02
+    per_band = np.interp([450, 600, 900], TRUTH_NM, np.gradient(TRUTH_NM))
+    np.testing.assert_allclose(found.fwhm_nm([450, 600, 900]), 5.4 * per_band, rtol=0.02)
 
 
 def test_a_straight_line_is_not_enough_and_the_test_of_the_residuals_says_so():

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scanhsi.calibration.assign import DispersionRange
 from scanhsi.calibration.dispersion import Dispersion
-from scanhsi.calibration.line_fit import Fitted, Group, fit_group, group_lines
+from scanhsi.calibration.line_fit import GAUSSIAN, Fitted, Group, fit_group, group_lines
 from scanhsi.calibration.lines import LineList, hgar
 from scanhsi.calibration.peaks import find_peaks
 from scanhsi.calibration.result import Provenance, Stored
@@ -113,7 +113,13 @@ class Traces:
 
 
 def trace_lines(
-    frame: NDArray[Any], dispersion: Dispersion, lines: LineList, fwhm: float, *, block: int = 24
+    frame: NDArray[Any],
+    dispersion: Dispersion,
+    lines: LineList,
+    fwhm: float,
+    *,
+    block: int = 24,
+    shape: float = GAUSSIAN,
 ) -> Traces:
     """Follow the lines from the middle of the slit to its ends.
 
@@ -123,6 +129,7 @@ def trace_lines(
         lines: Of the lamp.
         fwhm: Width of a line in bands.
         block: Samples that are averaged.
+        shape: Of a line, one of `scanhsi.calibration.line_fit.SHAPES`.
 
     Raises:
         CalibrationError: Too few samples, or lines.
@@ -137,7 +144,7 @@ def trace_lines(
         )
     spectra = [values[:, low:high].mean(axis=1) for low, high in pairwise(cuts.tolist())]
     groups = group_lines(lines, dispersion, bands, fwhm)
-    rows = [(group, _follow(spectra, group, fwhm)) for group in groups]
+    rows = [(group, _follow(spectra, group, fwhm, shape)) for group in groups]
     shown = [(group, row) for group, row in rows if sum(one is not None for one in row) > len(row) / 2]
     if len(shown) < 2:
         raise CalibrationError("fewer than two lines can be followed along the slit.", hint="light all of the slit")
@@ -159,14 +166,14 @@ def _rising(group: Group) -> tuple[Floats, Floats]:
     return group.wavelength_nm[order], group.band[order]
 
 
-def _follow(spectra: list[Floats], group: Group, fwhm: float) -> list[Fitted | None]:
+def _follow(spectra: list[Floats], group: Group, fwhm: float, shape: float) -> list[Fitted | None]:
     """One group in every block, each starting where its neighbour towards the middle was found."""
     row: list[Fitted | None] = [None] * len(spectra)
     middle = len(spectra) // 2
     for order in (range(middle, len(spectra)), range(middle, -1, -1)):
         shift = 0.0
         for index in order:
-            row[index] = one = fit_group(spectra[index], group, fwhm, shift=shift)
+            row[index] = one = fit_group(spectra[index], group, fwhm, shift=shift, shape=shape)
             shift = one.shift if one else shift
     return row
 
@@ -276,8 +283,9 @@ def calibrate_spectrograph(
     peaks = find_peaks(spectrum, fwhm_px=fwhm_bands)
     fwhm = float(np.median(peaks.fwhm_px))
     first = identify(peaks.centre_px, fwhm, lines, prior, degree)
-    rough = through(fit_lines(spectrum, first, lines, fwhm, degree), bands, len(peaks), lines.name, degree, provenance)
-    traces = trace_lines(values, rough.dispersion, lines, fwhm)
+    fitted, shape = fit_lines(spectrum, first, lines, fwhm, degree)
+    rough = through(fitted, bands, len(peaks), lines.name, degree, provenance)
+    traces = trace_lines(values, rough.dispersion, lines, fwhm, shape=shape)
     smile, place, sigma = fit_smile(traces, bands, samples, rough.dispersion, provenance)
     fitted = [
         Fitted(

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scanhsi.calibration.assign import DispersionRange, assign_lines
 from scanhsi.calibration.dispersion import Dispersion, fit_dispersion
-from scanhsi.calibration.line_fit import Fitted, fit_group, group_lines
+from scanhsi.calibration.line_fit import GAUSSIAN, SHAPES, Fitted, Group, fit_group, group_lines
 from scanhsi.calibration.lines import LineList, hgar
 from scanhsi.calibration.peaks import find_peaks
 from scanhsi.calibration.result import Provenance, Stored
@@ -32,6 +32,7 @@ PLACE_FLOOR: Final = 0.01
 """Bands that a place is never better than: lines that no list has, and shapes that are no Gaussians."""
 
 _OUTLYING: Final = 5.0
+_BETTER: Final = 0.8  # of what a Gaussian leaves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +124,7 @@ def calibrate_with_lamp(
     peaks = find_peaks(values, fwhm_px=fwhm_bands)
     fwhm = float(np.median(peaks.fwhm_px))
     first = identify(peaks.centre_px, fwhm, lines, prior, degree)
-    fitted = fit_lines(values, first, lines, fwhm, degree)
+    fitted, _ = fit_lines(values, first, lines, fwhm, degree)
     return through(fitted, len(values), len(peaks), lines.name, degree, provenance)
 
 
@@ -134,13 +135,22 @@ def identify(centre: Floats, fwhm: float, lines: LineList, prior: DispersionRang
     return assign_lines(centre, lines.merged(0.6 * width_nm), prior=prior, degree=degree).dispersion
 
 
-def fit_lines(spectrum: Floats, dispersion: Dispersion, lines: LineList, fwhm: float, degree: int) -> list[Fitted]:
-    """Fit all lines good for calibrating that show, twice: the second time with the distances that the first fit gives."""
+def fit_lines(
+    spectrum: Floats, dispersion: Dispersion, lines: LineList, fwhm: float, degree: int
+) -> tuple[list[Fitted], float]:
+    """Fit all lines good for calibrating that show, twice: the second time with the distances that the first fit gives.
+
+    Returns:
+        The lines, and which of `SHAPES` they have.
+    """
     fitted: list[Fitted] = []
-    for _ in range(2):
-        groups = group_lines(lines, dispersion, len(spectrum), fwhm)
+    shape = GAUSSIAN
+    for again in (False, True):
         good = set(lines.calibrating().wavelength_nm.tolist())
-        every = (fit_group(spectrum, group, fwhm) for group in groups if _has(group.wavelength_nm, good))
+        groups = group_lines(lines, dispersion, len(spectrum), fwhm)
+        groups = [group for group in groups if _has(group.wavelength_nm, good)]
+        shape = _shape(spectrum, groups, fwhm) if again else GAUSSIAN
+        every = (fit_group(spectrum, group, fwhm, shape=shape) for group in groups)
         fitted = [one for one in every if one is not None and one.band_sigma < 0.3]
         if len(fitted) > degree:
             dispersion = fit_dispersion(
@@ -149,7 +159,27 @@ def fit_lines(spectrum: Floats, dispersion: Dispersion, lines: LineList, fwhm: f
                 degree=degree,
                 sigma_nm=_errors(fitted, dispersion),
             )
-    return fitted
+    return fitted, shape
+
+
+def _shape(spectrum: Floats, groups: list[Group], fwhm: float) -> float:
+    """The shape that leaves least of most single lines; the Gaussian unless another one is clearly better.
+
+    Of most: a few lines that are all but saturated have flat tops of their own.
+    """
+    alone = [group for group in groups if len(group.band) == 1] or groups
+    misfits = np.array([[_misfit(spectrum, group, fwhm, shape) for group in alone] for shape in SHAPES])
+    shown = misfits[:, np.isfinite(misfits[0])]
+    if not shown.size:
+        return GAUSSIAN
+    usual = np.median(np.where(np.isfinite(shown), shown, np.inf), axis=1)
+    best = int(np.argmin(usual))
+    return SHAPES[best] if usual[best] < _BETTER * usual[0] else GAUSSIAN
+
+
+def _misfit(spectrum: Floats, group: Group, fwhm: float, shape: float) -> float:
+    fitted = fit_group(spectrum, group, fwhm, shape=shape)
+    return math.nan if fitted is None else fitted.misfit
 
 
 def _has(wavelengths: Floats, good: set[float]) -> bool:
