@@ -237,8 +237,7 @@ class Imager:
             ScanFailed: As `scan`; the cube can be resumed again.
         """
         with self._one_scan():
-            place = destination_of(cube, spool=spool)
-            before = begun(place)
+            before = begun(destination_of(cube))  # what is waiting in a spool changes nothing of that
             plan = plan or before.plan
             self._check_the_same(before, plan)
             course = self.course(plan)
@@ -246,6 +245,7 @@ class Imager:
                 spec = self._spec(course, plan, granted, None)
                 attributes = {**spec.attributes, **_of_the_scan(before)}
                 durability = self.config.storage.durability
+                place = destination_of(cube, spool=spool)
                 writer = CubeWriter.resume(place, replace(spec, attributes=attributes), durability=durability)
                 sink = self._slowed(writer, plan)
                 report = await run_scan(

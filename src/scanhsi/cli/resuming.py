@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -45,7 +44,6 @@ def begun_with(
     instrument: str | None,
     settings: Mapping[str, object],
     recovery: Mapping[str, str],
-    spool: Path | None,
 ) -> tuple[InstrumentConfig, ScanPlan]:
     """Instrument file and plan for going on with a cube.
 
@@ -54,14 +52,13 @@ def begun_with(
         instrument: As for a new scan; None for that of the cube.
         settings: Keys of the instrument file to be set.
         recovery: What to do about faults, where that is said.
-        spool: As for a new scan.
     """
     from scanhsi.cube.places import destination_of
     from scanhsi.engine.resume import begun
     from scanhsi.imager import default_plan
     from scanhsi.instrument import load_instrument
 
-    before = begun(destination_of(cube, spool=spool))
+    before = begun(destination_of(cube))
     if settings and instrument is None:
         raise typer.BadParameter("the instrument file is that of the cube; name one to change it.", param_hint="--set")
     config = before.config if instrument is None else load_instrument(instrument, dict(settings))

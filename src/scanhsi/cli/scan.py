@@ -197,7 +197,7 @@ def scan(
     recovery = {name: value for name, value in faults.items() if value is not None}
     if resume is not None:
         refuse_with_resume({**given, "seed": seed, "delays": delays, "reflectance": reflectance, **storage})
-        config, plan = begun_with(resume, instrument, parsed_settings(settings or ()), recovery, spool)
+        config, plan = begun_with(resume, instrument, parsed_settings(settings or ()), recovery)
     else:
         config = load_instrument(instrument or "sensors2019", {**parsed_settings(settings or ()), **storage})
         if seed is not None:

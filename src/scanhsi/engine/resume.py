@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from scanhsi.cube.destination import Destination
 from scanhsi.cube.metadata import ROOT, decoded
+from scanhsi.cube.shards import disk_error
 from scanhsi.devices.errors import ConfigError, CubeError, NotACube
 from scanhsi.engine.plan import ScanPlan
 from scanhsi.instrument import InstrumentConfig
@@ -61,10 +62,15 @@ def begun(place: Destination) -> Begun:
 
     Raises:
         NotACube: There is none.
-        CubeError: It is complete, or was not made by a scan.
+        CubeError: It is complete, or was not made by a scan, or cannot be read.
         ConfigError: This scanhsi, or this computer, does not know that instrument or plan any more.
     """
-    root = place.get(ROOT)
+    try:
+        root = place.get(ROOT)
+    except NotADirectoryError:
+        root = None
+    except OSError as error:
+        raise disk_error(place, error, needed=0) from error
     if root is None:
         raise NotACube(f"there is no cube at {place.name}.")
     try:
