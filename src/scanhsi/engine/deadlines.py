@@ -40,6 +40,14 @@ class Part(StrEnum):
     LIGHT = "light"
 
 
+_HINTS = {
+    Part.CAMERA: "power and cable of the camera, and whether another program talks to it.",
+    Part.ACTUATOR: "power and cable of the mirror's controller.",
+    Part.STORAGE: "whether the disk, or the network to it, answers; the cube can be resumed when it does.",
+    Part.LIGHT: "power and cable of the light.",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Deadlines:
     """Deadlines of one scan, in s, derived from its exposure, read-out and motions."""
@@ -85,7 +93,7 @@ class Watch:
         self, part: Part, limit_s: float, operation: str, *, line: int | None = None, hint: str | None = None
     ) -> Deadline:
         """``async with watch(Part.CAMERA, limit_s, "expose", line=line)``: see `Deadline`."""
-        return Deadline(self, part, limit_s, operation, line, hint)
+        return Deadline(self, part, limit_s, operation, line, hint or _HINTS[part])
 
     def heard(self, part: Part, what: str, line: int | None) -> None:
         """All is well with a part: it has just done something."""
