@@ -40,6 +40,7 @@ class Case(BaseModel):
         plan: Of the scan, as in `ScanPlan`.
         lines_per_shard, codec, durability, bin_samples: How it is stored.
         target: Where to.
+        resumes: Whether the lines that are left when it was interrupted are taken in another session.
         light: Whether there is one to be switched, and how long it warms up; None: there is not.
         faults: What goes wrong.
     """
@@ -59,6 +60,7 @@ class Case(BaseModel):
     bin_samples: int = 1
     target: Literal["memory", "disk", "nothing"] = "memory"
     light: float | None = Field(default=None, ge=0)
+    resumes: bool = False
     faults: FaultPlan = NO_FAULTS
 
     def instrument(self) -> InstrumentConfig:
@@ -213,6 +215,7 @@ def draw(seed: int | str, scan: int) -> Case:
         durability=durability,
         bin_samples=rng.choice((1, 1, 1, 2)),
         target=rng.choices(("memory", "disk", "nothing"), (95, 2, 3))[0],
+        resumes=rng.random() < 0.5,
         faults=FaultPlan(faults=tuple(_fault(rng, lines) for _ in range(_how_many(rng))), seed=rng.randrange(1000)),
     )
     return _lit(case, rng) if rng.random() < 0.3 else case

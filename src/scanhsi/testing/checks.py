@@ -20,7 +20,8 @@ from scanhsi.engine.plan import OnFault
 from scanhsi.testing.faults import Fault, Kind
 from scanhsi.testing.faulty_camera import warmed
 from scanhsi.testing.faulty_frames import PACKETS_MISSING
-from scanhsi.testing.runs import Outcome
+from scanhsi.testing.faulty_loop import EPOCH_NS
+from scanhsi.testing.runs import Outcome, resume
 from scanhsi.testing.snapshot import Snapshot, snapshot
 from scanhsi.testing.witness import Sight
 
@@ -50,15 +51,22 @@ class Violation:
 def check(outcome: Outcome) -> list[Violation]:
     """Every violation of one scan."""
     found = [Violation(name, text) for name, look in _CHECKS for text in look(outcome)]
+    found += _of_the_cube(outcome)
+    if outcome.case.resumes and not found and not outcome.hung:
+        found += [Violation("it cannot be resumed", text) for text in _resumed(outcome)]
+    return found
+
+
+def _of_the_cube(outcome: Outcome) -> list[Violation]:
     if outcome.place is None or outcome.hung:
-        return found
+        return []
     try:
         cube = snapshot(outcome.place)
     except Exception as error:
-        return [*found, Violation("the cube is not valid", f"{type(error).__name__}: {error}")]
+        return [Violation("the cube is not valid", f"{type(error).__name__}: {error}")]
     if cube is None:
-        return [*found, *_without_cube(outcome)]
-    return found + [Violation(name, text) for name, look in _CHECKS_OF_CUBES for text in look(outcome, cube)]
+        return [*_without_cube(outcome)]
+    return [Violation(name, text) for name, look in _CHECKS_OF_CUBES for text in look(outcome, cube)]
 
 
 # --- how it ended ---------------------------------------------------------------------------------------------------------
@@ -234,8 +242,7 @@ def _consistent(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
 
 
 def _counted(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
-    unsafe = outcome.case.durability == "at close" and Kind.POWER_CUT in outcome.faults.kinds()  # and says so
-    if outcome.claimed > cube.stored and not unsafe:
+    if outcome.claimed > cube.stored and not _torn(outcome):
         yield f"{outcome.claimed} lines were said to be stored, {cube.stored} are"
     if outcome.over:
         return
@@ -259,6 +266,8 @@ def _true(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
     used: dict[int, int] = {}
     for line in np.flatnonzero(cube.status == LineStatus.STORED).tolist():
         start_ns = int(cube.column("exposure_start_ns")[line])
+        if cube.column("run")[line]:  # on the clock of the session that began the cube
+            start_ns += cube.attributes["clock_offset_ns"] - EPOCH_NS
         sight = outcome.witness.sights.get(start_ns)
         if sight is None:
             yield f"line {line}: nothing was exposed at {start_ns}"
@@ -352,6 +361,34 @@ def _reasoned(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
         causes = [of for word, of in _REASONS.items() if word in reason]
         if not any(of & kinds for of in causes):
             yield f"line {line} is missing: {reason!r}; what happened is {sorted(kinds)}"
+
+
+def _resumed(outcome: Outcome) -> Iterator[str]:
+    """Another session takes the lines that are left, and only those; in the end all are there and true."""
+    before = None if outcome.place is None else snapshot(outcome.place)
+    if before is None or outcome.place is None or before.attributes.get("complete"):
+        return
+    try:
+        resume(outcome)
+    except Exception as error:
+        if not _torn(outcome):
+            yield f"{type(error).__name__}: {error}"
+        return
+    cube = snapshot(outcome.place)
+    assert cube is not None
+    if not cube.attributes["complete"] or cube.reached != outcome.plan.lines:
+        yield f"{cube.reached} of {outcome.plan.lines} lines, complete: {cube.attributes['complete']}"
+    if cube.missing != before.missing:
+        yield f"lines are missing that were not: {cube.missing}, before {before.missing}"
+    if np.any(cube.pixels[: before.reached] != before.pixels):
+        yield "lines of the first session have changed"
+    yield from _true(outcome, cube)
+    yield from _consistent(outcome, cube)
+
+
+def _torn(outcome: Outcome) -> bool:
+    """Whether a power cut may have left anything, for nobody had asked for more."""
+    return outcome.case.durability == "at close" and Kind.POWER_CUT in outcome.faults.kinds()
 
 
 _CHECKS_OF_CUBES: Final[tuple[tuple[str, Callable[[Outcome, Snapshot], Iterator[str]]], ...]] = (

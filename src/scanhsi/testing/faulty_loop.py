@@ -30,13 +30,14 @@ class FaultyLoop(VirtualTimeLoop):
 
     Args:
         faults: The plan under way.
+        start: Initial time, in s.
 
     Attributes:
         callbacks: How many ran since `watch`.
         cancellations: How many were asked for.
     """
 
-    def __init__(self, faults: Faults) -> None:
+    def __init__(self, faults: Faults, start: float = 0.0) -> None:
         self.callbacks = 0
         self.cancellations = 0
         self._faults = faults
@@ -45,7 +46,7 @@ class FaultyLoop(VirtualTimeLoop):
         self._control = ScanControl()
         self._job_s = 0.0
         self._waking = Random(faults.plan.seed)
-        super().__init__(inline=True)
+        super().__init__(start=start, inline=True)
 
     def watch(self, task: asyncio.Task[Any], control: ScanControl) -> None:
         """From now on faults happen: to this task, a scan that is steered by ``control``, until it ends."""

@@ -21,7 +21,7 @@ from scanhsi.cube.durable import LocalDestination
 from scanhsi.engine import Progress, ScanPlan, ScanReport
 from scanhsi.engine.steering import ScanControl
 from scanhsi.testing.cases import Case
-from scanhsi.testing.faults import Faults
+from scanhsi.testing.faults import NO_FAULTS, Faults
 from scanhsi.testing.faulty_loop import FaultyLoop, wall_clock
 from scanhsi.testing.faulty_storage import FaultyDestination, MemoryDestination
 from scanhsi.testing.instrument import with_faults
@@ -53,6 +53,7 @@ class Outcome:
         left: Tasks, threads, files and frames that were left.
         callbacks: Of the event loop.
         ended_s: Virtual time.
+        resumed: Report of a second session, which took the lines that were left.
     """
 
     case: Case
@@ -75,6 +76,7 @@ class Outcome:
     callbacks: int = 0
     ended_s: float = 0.0
     over: bool = False
+    resumed: ScanReport | None = None
 
 
 def warm_up() -> None:
@@ -147,6 +149,27 @@ async def _scan(case: Case, outcome: Outcome, control: ScanControl, loop: Faulty
             outcome.dark = hsi.instrument.light is None or hsi.instrument.light.level == 0
         outcome.stage = "close"
     outcome.stage = "over"
+
+
+def resume(outcome: Outcome) -> None:
+    """Finish the cube of an interrupted scan in another session, in which nothing goes wrong; time and truth go on.
+
+    Raises:
+        Exception: It cannot be finished: whatever came out of the session.
+    """
+    place = outcome.place
+    assert place is not None
+    place.unlock()  # nobody holds the lock of a process that is gone
+    faults = Faults(NO_FAULTS)
+    loop = FaultyLoop(faults, start=outcome.ended_s + 1.0)
+    config = with_faults(outcome.case.instrument(), faults, outcome.witness)
+
+    async def finish() -> ScanReport:
+        async with scanhsi.open_instrument(config) as hsi, asyncio.timeout(outcome.case.deadline_s):
+            return await hsi.resume(place)  # pyright: ignore[reportArgumentType] destinations pass through
+
+    with wall_clock(faults, loop), asyncio.Runner(loop_factory=lambda: loop) as runner:
+        outcome.resumed = runner.run(finish())
 
 
 def _place(case: Case, folder: Path | None) -> Destination | None:

@@ -67,7 +67,18 @@ def _simpler(fault: Fault) -> Iterator[Fault]:
 
 def _plainer(case: Case) -> Iterator[Case]:
     defaults = {name: field.default for name, field in Case.model_fields.items() if not field.is_required()}
-    for name in ("target", "codec", "durability", "bin_samples", "offset", "overlap", "bands", "samples", "seed"):
+    for name in (
+        "resumes",
+        "target",
+        "codec",
+        "durability",
+        "bin_samples",
+        "offset",
+        "overlap",
+        "bands",
+        "samples",
+        "seed",
+    ):
         if getattr(case, name) != defaults[name]:
             yield case.model_copy(update={name: defaults[name]})
     if case.profile != "ideal":

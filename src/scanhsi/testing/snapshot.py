@@ -52,7 +52,7 @@ class Snapshot:
         return {int(line): reason for line, reason in self.attributes.get("missing", {}).items()}
 
 
-_COLUMNS = ("exposure_start_ns", "trigger_ns", "stored_ns", "mirror_step", "frame_id", "smeared", "time")
+_COLUMNS = ("exposure_start_ns", "trigger_ns", "stored_ns", "mirror_step", "frame_id", "smeared", "time", "run")
 
 
 def snapshot(destination: Destination) -> Snapshot | None:
