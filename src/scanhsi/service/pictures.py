@@ -20,6 +20,7 @@ HEIGHT: Final = 200
 """Most samples and bands of a picture of a frame."""
 BINS: Final = 64
 _BAND_STRIDE: Final = 8
+_ROWS: Final = 64
 _FOCUS: Final = (256, 512)
 """Bands and samples, in the middle of the frame, that the focus score looks at."""
 
@@ -63,8 +64,7 @@ def view_frame(pixels: Pixels, previous: Pixels | None, bits: int) -> FrameView:
     small = pixels[::by_band, ::by_sample]
     picture = np.minimum(small >> (bits - 8) if bits > 8 else small, 254).astype(np.uint8)
     picture[small >= top] = 255
-    # counts are few: a table of them is the quickest histogram, and gives maximum and saturation besides
-    table = np.bincount(pixels.reshape(-1), minlength=top + 1)
+    table = _counts(pixels, top)
     histogram = table[: top + 1].reshape(BINS, -1).sum(axis=1)
     lit = np.flatnonzero(table)
     return FrameView(
@@ -83,6 +83,14 @@ def view_frame(pixels: Pixels, previous: Pixels | None, bits: int) -> FrameView:
             "focus": _focus(pixels, previous),
         },
     )
+
+
+def _counts(pixels: Pixels, top: int) -> NDArray[np.int64]:
+    """How often each count occurs: the quickest histogram, which gives maximum and saturation besides."""
+    table = np.zeros(max(top + 1, int(np.iinfo(pixels.dtype).max) + 1), np.int64)
+    for first in range(0, len(pixels), _ROWS):  # bincount makes 64-bit integers of all that it is given
+        table += np.bincount(pixels[first : first + _ROWS].reshape(-1), minlength=len(table))
+    return table
 
 
 def _focus(pixels: Pixels, previous: Pixels | None) -> dict[str, float] | None:

@@ -67,7 +67,8 @@ class Station:
         self.started = datetime.now(UTC)
         self.events = Events()
         self.background = Background()
-        self.preview = Preview(self.background)
+        self._drawing = Background(1)  # of its own: no picture waits for a download
+        self.preview = Preview(self._drawing)
         self.lease = Lease(self._lease_changed)
         self.tickets = Tickets()
         self.jobs = Jobs(self._job_changed)
@@ -361,6 +362,7 @@ class Station:
         await asyncio.gather(*tasks, return_exceptions=True)
         self.lease.close()
         self.background.close()
+        self._drawing.close()
 
 
 def _logged(level: str, event: str, **more: Any) -> dict[str, Any]:
