@@ -23,6 +23,7 @@ _LEAST_LINES: Final = 16
 _PARTS: Final = 8
 _PART_LINES: Final = 24
 _NEAR: Final = 3
+_LEADS: Final = 2  # lines that noise, or none, may seem to lead
 _ALIKE: Final = 0.15  # of the way from the best match to the usual one: as good a match, in a target that repeats
 
 
@@ -115,7 +116,7 @@ def backlash_steps(forward: Floats, backward: Floats, *, near: float | None = No
         forward: (line, ...) values at successive steps, upwards.
         backward: The same steps taken downwards, put in the order of ``forward``.
         near: Lag in lines that is roughly right; none farther than three lines from it is tried. None: any up to a quarter of the
-            scan, and of those at which a target that repeats along it matches alike, the smallest.
+            scan, and of those at which a target that repeats along it matches alike, the smallest that lags.
 
     Returns:
         The lag in lines, with fractions: the best match of the two; positive where the backward scan sees what the forward scan saw
@@ -141,7 +142,11 @@ def backlash_steps(forward: Floats, backward: Floats, *, near: float | None = No
     inner = np.r_[False, (mismatch[1:-1] <= mismatch[:-2]) & (mismatch[1:-1] <= mismatch[2:]), False]
     limit = mismatch.min() + _ALIKE * (np.median(mismatch) - mismatch.min())
     alike = np.flatnonzero((inner & (mismatch <= limit)) | (mismatch == mismatch.min()))
-    whole = int(shifts[alike[np.argmin(np.abs(shifts[alike] + (near or 0.0)))]])
+    lags = -shifts[alike]
+    far = np.abs(lags - (near or 0.0))
+    if near is None:  # play lags, it does not lead: of a target that repeats, that is what tells which match is meant
+        far = np.where(lags < -_LEADS, far + len(first), far)
+    whole = int(shifts[alike[np.argmin(far)]])
     return -(whole + _fraction(first, second, whole))
 
 

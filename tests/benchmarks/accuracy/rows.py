@@ -69,6 +69,6 @@ def rms(values: object) -> float:
 
 
 def markdown(rows: list[Row]) -> str:
-    lines = ["| | asked for | reached | |", "| --- | --- | --- | --- |"]
-    lines += [f"| {row.what} | {row.asked} | {row.reached} | {'' if row.good else '**not met**'} |" for row in rows]
+    lines = ["| | asked for | reached |", "| --- | --- | --- |"]
+    lines += [f"| {row.what} | {row.asked} | {row.reached}{'' if row.good else ' **not met**'} |" for row in rows]
     return "\n".join(lines)
