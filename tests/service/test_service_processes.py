@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
+import inspect
 import json
 import signal
 import socket
@@ -10,6 +12,7 @@ import time
 from collections.abc import Generator
 from contextlib import aclosing
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -107,6 +110,28 @@ def test_a_viewer_that_never_listens_costs_nothing_but_its_socket(locked: tuple[
     asyncio.run(others())
     assert b"101 Switching Protocols" in deaf.recv(200)
     deaf.close()
+
+
+def test_the_notebook_runs(locked: tuple[Server, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cell by cell, in one loop, with ``await`` where it stands: as IPython runs it."""
+    monkeypatch.setenv("SCANHSI_URL", locked[0].url)
+    monkeypatch.setenv("SCANHSI_TOKEN", TOKEN)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads((Path(__file__).parents[2] / "docs" / "examples" / "remote.ipynb").read_text())
+    names: dict[str, Any] = {}
+
+    async def main() -> None:
+        for cell in notebook["cells"]:
+            if cell["cell_type"] == "code":
+                code = compile("".join(cell["source"]), cell["id"], "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+                waiting = eval(code, names)
+                if inspect.isawaitable(waiting):
+                    await waiting
+
+    asyncio.run(main())
+    assert names["report"].stored == 40
+    assert (tmp_path / "notebook.zarr").is_dir()
 
 
 def test_the_token_is_in_no_log(locked: tuple[Server, Path]) -> None:
