@@ -194,6 +194,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _say(f"{options.scans} scans of seed {options.seed} in {options.jobs} processes")
     for verdict in in_processes(options.seed, range(options.scans), options.jobs, options.watchdog):
         tally.add(verdict)
+        if verdict.violations:
+            _say(f"scan {verdict.scan}: {', '.join(verdict.violations)}")
         if tally.scans % 1000 == 0:
             _say(f"{tally.scans} scans, {len(tally.failures)} failures, {time.monotonic() - began:.0f} s")
     _say(_summary(tally, time.monotonic() - began))
