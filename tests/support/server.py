@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,11 +37,18 @@ class Server:
 
 
 @contextmanager
-def serving(data: Path, *settings: str, token: str | None = None, arguments: tuple[str, ...] = ()) -> Generator[Server]:
+def serving(
+    data: Path,
+    *settings: str,
+    token: str | None = None,
+    arguments: tuple[str, ...] = (),
+    variables: Mapping[str, str] | None = None,
+) -> Generator[Server]:
     """A server on a free port; killed on leaving."""
     words = [word for setting in settings or SMALL for word in ("--set", setting)]
     command = [sys.executable, "-m", "scanhsi", "serve", "sensors2019", "--data", str(data), "--port", "0", *words]
-    environment = {**os.environ, "COLUMNS": "200", **({} if token is None else {"SCANHSI_TOKEN": token})}
+    secret = {} if token is None else {"SCANHSI_TOKEN": token}
+    environment = {**os.environ, "COLUMNS": "200", **secret, **(variables or {})}
     process = subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True, env=environment)
     assert process.stderr is not None
     said: list[str] = []
