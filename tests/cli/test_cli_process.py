@@ -1,6 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from scanhsi.calibration.conditions import Conditions
+from scanhsi.calibration.dark import DarkModel
+from scanhsi.calibration.result import Provenance, save
 from scanhsi.cli import run as run_here
 from scanhsi.cube.reader import cube_summary, open_cube
 from support.command_line import Cli
@@ -123,3 +128,26 @@ def test_a_scan_makes_its_reflectance_as_it_scans(cli: Cli, cubes, tmp_path):
     result = cli(*scan, "--reflectance", tmp_path / "live.zarr")
     assert result.code == 4
     assert "exists already" in result.err
+
+
+def test_a_dark_model_of_another_gain_or_day_is_refused(cli: Cli, cubes, tmp_path):
+    conditions = Conditions.of(open_cube(cubes / "hand.zarr", chunks=None).attrs)
+    save_dark(tmp_path / "gain.nc", replace(conditions, gain_db=6.0), conditions.taken)
+    save_dark(tmp_path / "old.nc", conditions, "2020-01-01T00:00:00+00:00")
+    process = ("process", cubes / "hand.zarr", "-o", tmp_path / "r.zarr", "--dark")
+    result = cli(*process, tmp_path / "gain.nc")
+    assert result.code == 4
+    assert "gain_db" in result.err
+    result = cli(*process, tmp_path / "old.nc")
+    assert result.code == 4
+    assert "older than what it is used on" in result.err
+    assert not (tmp_path / "r.zarr").exists()
+    result = cli(*process, tmp_path / "old.nc", "--max-age", "any")
+    assert result.code == 0, result.err
+
+
+def save_dark(path, conditions: Conditions, taken: str | None) -> None:
+    """A dark model of the small camera, taken so and then."""
+    zero = np.zeros((40, 64))
+    provenance = Provenance((), replace(conditions, exposure_s=None), True, taken=taken)
+    save(DarkModel(zero, zero, zero + 1, zero + 1, zero, zero + 1, zero > 1, zero > 1, 0.01, 2.0, 8, provenance), path)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
+    from scanhsi.calibration.applies import Limits
     from scanhsi.calibration.reference import ModelledDark, Reference
     from scanhsi.processing import Step
 
@@ -34,6 +36,14 @@ SaturationOption = Annotated[
 WavelengthOption = Annotated[
     Path | None, typer.Option(help="Wavelength calibration, of `scanhsi calibrate wavelength`.")
 ]
+MaxAgeOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TIME",
+        help='Oldest good calibration, as "12 h", or any; default: by its kind, a day for a white reference, 30 for a dark model.',
+    ),
+]
+MaxDriftOption = Annotated[float, typer.Option(help="How far sensor temperatures may be apart, K.")]
 SmileOption = Annotated[Path | None, typer.Option(help="Smile calibration: straighten the smile.")]
 KeystoneOption = Annotated[Path | None, typer.Option(help="Keystone calibration: straighten the keystone.")]
 
@@ -69,6 +79,20 @@ class Chain:
         if len(steps) == 1:
             raise typer.BadParameter("nothing to do: give --dark, --dark with --white, or --bin-bands.")
         return steps
+
+    def check(self, cube: Mapping[str, Any], limits: Limits) -> None:
+        """Refuse calibrations that are not for a cube.
+
+        Args:
+            cube: Its attributes.
+            limits: Of age and temperature.
+
+        Raises:
+            CalibrationError: Gain, format, region, binning, age or temperature of one do not fit; says which, and what to do.
+        """
+        from scanhsi.calibration.applies import check_files
+
+        check_files([self.dark, self.white, self.white_dark, self.wavelength, self.smile, self.keystone], cube, limits)
 
     def _references(self) -> list[Step]:
         from scanhsi.processing import SubtractDark

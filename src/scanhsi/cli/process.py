@@ -13,6 +13,8 @@ from scanhsi.cli.chain import (
     Chain,
     DarkOption,
     KeystoneOption,
+    MaxAgeOption,
+    MaxDriftOption,
     SaturationOption,
     SmileOption,
     TileOption,
@@ -22,6 +24,7 @@ from scanhsi.cli.chain import (
 )
 from scanhsi.cli.output import messages, results, write_json
 from scanhsi.cli.progress import bytes_shown
+from scanhsi.cli.quantities import limits_of
 
 if TYPE_CHECKING:
     from scanhsi.cube.shards import Codec
@@ -55,6 +58,8 @@ def process(
     smile: SmileOption = None,
     keystone: KeystoneOption = None,
     bin_bands: Annotated[int | None, typer.Option(help="Average so many bands into one channel.")] = None,
+    max_age: MaxAgeOption = None,
+    max_drift: MaxDriftOption = 5.0,
     codec: Annotated[Literal["lz4", "zstd", "none", "raw"], typer.Option(help="Of the new cubes.")] = "lz4",
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="dask.distributed cluster that does it: tcp://host:8786.")
@@ -73,10 +78,15 @@ def process(
 
     [bold]Example[/]: scanhsi process hand.zarr --dark dark.zarr --white white.zarr --smile smile.nc --bin-bands 5
     """
+    from scanhsi.cube.reader import open_cube
     from scanhsi.processing import process as run
 
     pairs = _pairs(cubes, output)
-    steps = Chain(dark, white, white_dark, tile, saturation, wavelength, smile, keystone, bin_bands).steps()
+    chain = Chain(dark, white, white_dark, tile, saturation, wavelength, smile, keystone, bin_bands)
+    steps = chain.steps()
+    limits = limits_of(max_age, max_drift)
+    for cube, _ in pairs:  # all of them, before the first is begun
+        chain.check(open_cube(cube, chunks=None).attrs, limits)
     if follow:
         _follow(pairs, steps, codec, scheduler, resume=resume, as_json=json)
         return
