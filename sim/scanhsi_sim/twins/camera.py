@@ -11,6 +11,8 @@ It runs only in a private network namespace (`scanhsi_sim.twins.netns`) and ends
     Stop answering and sending, and go on.
 ``drop N``
     Lose the next N frames on the wire.
+``loss N``
+    From now on lose so many of a million packets, by chance.
 ``exit``
     End.
 """
@@ -158,8 +160,10 @@ class Twin:
                 self.camera.freeze(False)
             case ["drop", count] if count.isdecimal():
                 self.camera.drop(int(count))
+            case ["loss", count] if count.isdecimal():
+                self.camera.packet_loss = int(count) * 1e-6
             case _:
-                return f"error: unknown command {line!r}; there are: stats, freeze, thaw, drop N, exit"
+                return f"error: unknown command {line!r}; there are: stats, freeze, thaw, drop N, loss N, exit"
         return "ok"
 
     def stats(self) -> dict[str, int]:

@@ -58,7 +58,8 @@ class CameraTwin:
         return self._running().pid
 
     async def command(self, text: str) -> str:
-        """Send one line, return the answer: ``stats``, ``freeze``, ``thaw``, ``drop N``.
+        """Send one line, return the answer: ``stats``, ``freeze``, ``thaw``, ``drop N``, ``loss N``
+        (of a million packets).
 
         Raises:
             ValueError: It does not know the command.

@@ -27,6 +27,7 @@ class FakeCamera:
     Attributes:
         sent: Frames sent.
         dropped: Frames lost on purpose.
+        packet_loss: Part of the packets that are lost, 0 to 1, each by chance.
     """
 
     def __init__(self, address: str, serial: str, genicam: Path) -> None:
@@ -57,6 +58,7 @@ class FakeCamera:
         self._drops = 0
         self.sent = 0
         self.dropped = 0
+        self.packet_loss = 0.0
         self._fill_reference = _FILL(self._fill)  # the library keeps only the address
         self._aravis.arv_fake_camera_set_fill_pattern(self._registers, self._fill_reference, None)
         self._aravis.arv_fake_camera_set_trigger_frequency(self._registers, 1e6)  # waits are event_poll.c's
@@ -121,7 +123,8 @@ class FakeCamera:
             self._drops = max(0, self._drops - 1)
             self.dropped += lost
             self.sent += not lost
-        self._gobject.g_object_set(self._camera, b"gvsp-lost-ratio", ctypes.c_double(lost), None)
+        ratio = 1.0 if lost else self.packet_loss
+        self._gobject.g_object_set(self._camera, b"gvsp-lost-ratio", ctypes.c_double(ratio), None)
         self._taken.set()
 
 

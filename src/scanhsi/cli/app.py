@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import signal
 import sys
 import threading
 from collections.abc import Sequence
@@ -156,7 +157,13 @@ def run(args: Sequence[str]) -> int:
 
 def main() -> None:
     """Entry point of the console script ``scanhsi``."""
-    code = run(sys.argv[1:])
+    try:
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:  # while the end was told
+        code = ExitCode.INTERRUPTED
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # all is done: the exit code says how it ended, not that Python was leaving
     with contextlib.suppress(OSError):  # nobody reads it any more
         sys.stdout.flush()
     last_resort = threading.Timer(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import tomllib
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +15,8 @@ from scanhsi.cli.chain import (
     Chain,
     DarkOption,
     KeystoneOption,
+    MaxAgeOption,
+    MaxDriftOption,
     SaturationOption,
     SmileOption,
     TileOption,
@@ -24,6 +27,7 @@ from scanhsi.cli.chain import (
 from scanhsi.cli.codes import ExitCode
 from scanhsi.cli.drain import drain_shown
 from scanhsi.cli.output import messages, results, write_json
+from scanhsi.cli.quantities import limits_of
 from scanhsi.cli.real_time import RealTimeOption, parsed_real_time
 from scanhsi.cli.resuming import (
     LineRetriesOption,
@@ -140,6 +144,8 @@ def scan(
     average_bands: Annotated[
         int | None, typer.Option(metavar="N", help="With --reflectance: average so many bands into one channel.")
     ] = None,
+    max_age: MaxAgeOption = None,
+    max_drift: MaxDriftOption = 5.0,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -207,7 +213,8 @@ def scan(
         plan = default_plan(config, **{name: value for name, value in given.items() if value is not None}, **recovery)
     if virtual:
         refuse_real_devices(config)
-    work = _scan(config, plan, output or resume, options, spool, process, resume=resume is not None)
+    check = None if process is None else partial(chain.check, limits=limits_of(max_age, max_drift))
+    work = _scan(config, plan, output or resume, options, spool, process, check, resume=resume is not None)
     report = clock.run(work, virtual=virtual)
     try:
         _finish(report, as_json=json)
@@ -234,22 +241,26 @@ async def _scan(
     options: RealTime,
     spool: Path | None,
     process: LiveProcessing | None,
+    check: Callable[[dict[str, Any]], None] | None,
     *,
     resume: bool,
 ) -> ScanReport:
+    from scanhsi.characterise.protocols.base import attributes_to_be
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
     from scanhsi.devices.errors import ScanFailed
     from scanhsi.imager import open_instrument
 
     console = messages()
-    tell: Callable[[str], None] = console.print
+    tell: Callable[[str], None] = partial(console.print, soft_wrap=True)  # a path stays whole, to be copied
     if plan.look_ahead is not None:  # look-ahead accepts smeared lines: say so before, not after
         from scanhsi.cli.summary import accepted_smear
 
         tell(accepted_smear(plan.look_ahead, plan.lines))
     with interrupts(tell) as interrupt:
         async with open_instrument(config) as imager:
+            if check is not None:
+                check(await attributes_to_be(imager, plan))
             with shown(console) as show:
                 interrupt.scanning = True
                 control = interrupt.control
