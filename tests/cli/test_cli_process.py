@@ -142,6 +142,19 @@ def test_a_dark_model_of_another_gain_or_day_is_refused(cli: Cli, cubes, tmp_pat
     assert result.code == 4
     assert "older than what it is used on" in result.err
     assert not (tmp_path / "r.zarr").exists()
+    scan = (
+        "scan",
+        cubes / "small.toml",
+        "-o",
+        tmp_path / "raw.zarr",
+        "--reflectance",
+        tmp_path / "live.zarr",
+        "--dark",
+    )
+    result = cli(*scan, tmp_path / "old.nc")
+    assert result.code == 4
+    assert "older than what it is used on" in result.err
+    assert not (tmp_path / "raw.zarr").exists()
     result = cli(*process, tmp_path / "old.nc", "--max-age", "any")
     assert result.code == 0, result.err
 

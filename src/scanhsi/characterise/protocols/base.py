@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator, Callable, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from scanhsi.calibration.applies import USUAL, Limits, check_applies
 from scanhsi.calibration.conditions import Conditions
@@ -53,17 +53,7 @@ class Protocols:
         Raises:
             CalibrationError: One does not; see `check_applies`.
         """
-        instrument, plan = self.imager.instrument, self.imager.default_plan()
-        storage = instrument.config.storage
-        now = Conditions.of(
-            {
-                "plan": plan.model_dump(mode="json"),
-                "instrument": instrument.config.model_dump(mode="json"),
-                "devices": instrument.describe(),
-                "binning": {"bands": storage.bin_bands, "samples": storage.bin_samples},
-                "sensor_temperature_c": await sensor_temperature_c(self.imager.camera),
-            }
-        )
+        now = Conditions.of(await attributes_to_be(self.imager, self.imager.default_plan()))
         for result in results:
             if result is not None:  # of a geometry only distance and pitch are used
                 check_applies(result, now, self.limits, region=not isinstance(result, Geometry))
@@ -121,3 +111,15 @@ async def finish(output: str | Path | None, work_out: Callable[[], R]) -> R:
     if output is not None:
         await run_blocking(0.0, save, result, output)
     return result
+
+
+async def attributes_to_be(imager: Scans, plan: ScanPlan) -> dict[str, Any]:
+    """What the cube of a scan that is taken now will say of how its counts were taken."""
+    instrument, storage = imager.instrument, imager.instrument.config.storage
+    return {
+        "plan": plan.model_dump(mode="json"),
+        "instrument": instrument.config.model_dump(mode="json"),
+        "devices": instrument.describe(),
+        "binning": {"bands": storage.bin_bands, "samples": storage.bin_samples},
+        "sensor_temperature_c": await sensor_temperature_c(imager.camera),
+    }
