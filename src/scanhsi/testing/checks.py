@@ -378,8 +378,9 @@ def _resumed(outcome: Outcome) -> Iterator[str]:
     assert cube is not None
     if not cube.attributes["complete"] or cube.reached != outcome.plan.lines:
         yield f"{cube.reached} of {outcome.plan.lines} lines, complete: {cube.attributes['complete']}"
-    if cube.missing != before.missing:
-        yield f"lines are missing that were not: {cube.missing}, before {before.missing}"
+    lost = {line: reason for line, reason in before.missing.items() if line < before.reached}  # others are taken now
+    if cube.missing != lost:
+        yield f"lines are missing that were not: {cube.missing}, before {lost}"
     if np.any(cube.pixels[: before.reached] != before.pixels):
         yield "lines of the first session have changed"
     yield from _true(outcome, cube)
