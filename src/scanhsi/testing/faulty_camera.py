@@ -94,7 +94,7 @@ class FaultyCamera:
 
     async def _arm(self, trigger: Trigger, buffers: int) -> None:
         await self.inner.arm(trigger, buffers)
-        self._witness.armed, self._witness.buffers = True, buffers
+        self._witness.arm(buffers)
         self._channel, self._shutter = FrameChannel(), Shutter(exposure_ns=self._exposure_ns)
         work = pump(self.inner.frames(), self._channel, self._shutter, self._faults, self._witness)
         self._pump = asyncio.create_task(work, name="faulty camera")

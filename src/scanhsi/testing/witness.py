@@ -74,7 +74,7 @@ class Witness:
         offset: Of the actuator, now: reported minus true.
         homed: Whether the actuator has found its home since it was opened, or reset.
         most_frames: Most frames that were alive at once.
-        buffers: As the camera was armed last.
+        buffers: Most that there were at once, those of frames still held from an earlier arming included.
         armed: Whether the camera is.
         alive: Frames that somebody holds now.
         moved: Whether anything was told to move or expose.
@@ -108,6 +108,10 @@ class Witness:
         pixels = np.asarray(self.scene.true_pixels(span))
         wrong = self.offset if offset is None else offset
         self.sights[start_ns] = Sight(len(self.sights), start_ns, shut_ns, span, low == high, wrong, self.homed, pixels)
+
+    def arm(self, buffers: int) -> None:
+        """The camera has new buffers; frames that somebody still holds lie in earlier ones."""
+        self.armed, self.buffers = True, max(self.buffers, buffers + self.alive)
 
     def came(self) -> None:
         """A frame is there."""
