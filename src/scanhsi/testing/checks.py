@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scanhsi.clock import HoldTimeout, VirtualDeadlock
 from scanhsi.cube import LineStatus
 from scanhsi.cube.records import NOT_STAMPED
-from scanhsi.devices.errors import ScanFailed, ScanhsiError
+from scanhsi.devices.errors import DeviceUnsafe, ScanFailed, ScanhsiError
 from scanhsi.engine import Mode
 from scanhsi.engine.deadlines import STORE_S
 from scanhsi.engine.plan import OnFault
@@ -178,10 +178,15 @@ def _gives_up(outcome: Outcome) -> Iterator[str]:
     serious = [one.fault for one in outcome.faults.happened if not _harmless(one.fault)]
     if len(serious) != 1 or not _mendable(serious[0]):
         return
-    if isinstance(error, ScanFailed):
+    if isinstance(error, ScanFailed) and not _only_unsafe(error):
         yield f"after {serious[0]}: {error}"
     if outcome.report is not None and outcome.report.missing and plan.mode is not Mode.CONTINUOUS:
         yield f"after {serious[0]}: {outcome.report.missing_reasons}"
+
+
+def _only_unsafe(error: ScanFailed) -> bool:
+    """All lines are there, but a device that had gone by then cannot be made safe, which has to be told."""
+    return error.stored == error.lines and all(isinstance(cause, DeviceUnsafe) for cause in error.causes)
 
 
 _BACK_S: Final = 6.0
