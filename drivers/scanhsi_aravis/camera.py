@@ -143,6 +143,10 @@ class AravisCamera:
         hidden_s = self._configured("timing").exposure_s if self._options.overlaps_readout else 0.0
         return max(self._readout_s - hidden_s, 0.0)
 
+    async def temperature_c(self) -> float | None:
+        """How warm the camera is, where its ``DeviceTemperatureSelector`` points; armed or not."""
+        return await self._call(self._session.temperature_c)
+
     @property
     def lost_after_s(self) -> float:
         """Longest time from the moment a frame should have come until a dead camera raises `DeviceLost`, s."""

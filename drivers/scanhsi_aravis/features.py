@@ -42,6 +42,7 @@ class Quantity:
 EXPOSURE = Quantity("exposure", ("ExposureTime", "ExposureTimeAbs"), frozenset(), 1e6, "s")
 GAIN = Quantity("gain", ("Gain", "GainRaw"), frozenset({"GainRaw"}), 1.0, "dB")
 FRAME_RATE = Quantity("frame rate", ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"), frozenset(), 1.0, "Hz")
+TEMPERATURE = "DeviceTemperature"
 
 
 class Features:
@@ -98,6 +99,13 @@ class Features:
             low, high = self._camera.get_float_bounds(name)
             self._camera.set_float(name, _snapped(raw, low, high))
         return self.get(quantity)
+
+    def temperature_c(self) -> float | None:
+        """Temperature where ``DeviceTemperatureSelector`` points, degrees Celsius; None where the camera tells none."""
+        if not self.has(TEMPERATURE):
+            return None
+        celsius = float(self._camera.get_float(TEMPERATURE))
+        return celsius if math.isfinite(celsius) else None
 
     def choose(self, name: str, entry: str) -> None:
         """Choose an entry of an enumeration if the camera has that enumeration."""

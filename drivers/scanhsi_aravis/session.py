@@ -116,6 +116,21 @@ class Session:
         with translated(self._name, "set frame period"):
             return self._features.set_frame_period(period_s)
 
+    def temperature_c(self) -> float | None:
+        """How warm the camera is; None where it does not tell, or refuses to. Only reads, so it may come while armed.
+
+        Raises:
+            DeviceLost: No answer for 2.5 s.
+        """
+        try:
+            with translated(self._name, "temperature"):
+                return self._features.temperature_c()
+        except DeviceLost:
+            raise
+        except DeviceError as error:  # nothing that a scan should fail of
+            log.warning("the camera's temperature cannot be read", device=self._name, reason=error.message)
+            return None
+
     def start(self, trigger: Trigger, buffers: int, deliver: Callable[[Arrival], object]) -> Ring:
         """Make the stream and its ring, and start acquisition."""
         self.stop(lost=False)

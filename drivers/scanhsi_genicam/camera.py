@@ -79,6 +79,10 @@ class GenicamCamera:
         self._settings = await self._call(self._session.configure, wanted, self.info)
         return self._settings
 
+    async def temperature_c(self) -> float | None:
+        """How warm the camera is, where its ``DeviceTemperatureSelector`` points; armed or not."""
+        return await self._call(self._session.temperature_c)
+
     async def arm(self, trigger: Trigger, buffers: int) -> None:
         """Start the stream; exposures begin with `expose`."""
         self._refuse_while_armed("arm")

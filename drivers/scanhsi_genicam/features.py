@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from scanhsi.devices.camera import CameraInfo, CameraSettings, Roi, Trigger
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 _EXPOSURES = ("ExposureTime", "ExposureTimeAbs")  # microseconds; those in units of the device mean nothing to us
 _RATES = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
+TEMPERATURE = "DeviceTemperature"
 _S_PER_US = 1e-6
 
 
@@ -80,6 +82,15 @@ def apply(camera: Camera, settings: CameraSettings, info: CameraInfo) -> CameraS
         camera.set_float("Gain", settings.gain_db)
     gain_db = camera.get_float("Gain") if info.gain.maximum > info.gain.minimum else 0.0
     return CameraSettings(camera.get_float(exposure) * _S_PER_US, gain_db, settings.pixel_format, roi)
+
+
+def temperature_c(camera: Camera) -> float | None:
+    """Temperature where ``DeviceTemperatureSelector`` points, degrees Celsius; None where the camera tells none."""
+    if not _has(camera, TEMPERATURE):
+        return None
+    camera.invalidate(TEMPERATURE)  # whatever the camera's description says of caching
+    celsius = camera.get_float(TEMPERATURE)
+    return celsius if math.isfinite(celsius) else None
 
 
 def tick_ns(camera: Camera) -> float:

@@ -8,19 +8,22 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
 from scanhsi.devices.camera import CameraInfo, CameraSettings
-from scanhsi.devices.errors import DeviceError, DeviceLost, DeviceNotFound
+from scanhsi.devices.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceTimeout
 from scanhsi_genicam import features
 from scanhsi_genicam.errors import classify, make, translated
 from scanhsi_genicam.options import GenicamOptions
 
 if TYPE_CHECKING:
     from viva_genicam import Camera, Frame, FrameStream, GigeDeviceInfo
+
+log: Any = structlog.get_logger(__name__)
 
 _WAIT_MS = 50  # the longest that stopping takes
 
@@ -91,6 +94,22 @@ class Session:
         """See `features.apply`."""
         with translated(self._name, "configure"):
             return features.apply(self._open(), settings, info)
+
+    def temperature_c(self) -> float | None:
+        """How warm the camera is; None where it does not tell, or refuses to. Only reads, so it may come while armed.
+
+        Raises:
+            DeviceLost, DeviceTimeout: No answer.
+        """
+        camera = self._open()
+        try:
+            with translated(self._name, "temperature"):
+                return features.temperature_c(camera)
+        except (DeviceLost, DeviceTimeout):
+            raise
+        except DeviceError as error:  # nothing that a scan should fail of
+            log.warning("the camera's temperature cannot be read", device=self._name, reason=error.message)
+            return None
 
     def start(self, buffers: int, deliver: Callable[[Arrival | DeviceError], object]) -> None:
         """Wait for software triggers, start the stream."""

@@ -13,6 +13,8 @@ It runs only in a private network namespace (`scanhsi_sim.twins.netns`) and ends
     Lose the next N frames on the wire.
 ``loss N``
     From now on lose so many of a million packets, by chance.
+``temperature N``
+    Be so many thousandths of a degree Celsius warm.
 ``exit``
     End.
 """
@@ -162,8 +164,11 @@ class Twin:
                 self.camera.drop(int(count))
             case ["loss", count] if count.isdecimal():
                 self.camera.packet_loss = int(count) * 1e-6
+            case ["temperature", value] if value.removeprefix("-").isdecimal():
+                self.camera.write(registers.TEMPERATURE, int(value) & 0xFFFFFFFF)
             case _:
-                return f"error: unknown command {line!r}; there are: stats, freeze, thaw, drop N, loss N, exit"
+                known = "stats, freeze, thaw, drop N, loss N, temperature N, exit"
+                return f"error: unknown command {line!r}; there are: {known}"
         return "ok"
 
     def stats(self) -> dict[str, int]:
@@ -186,7 +191,7 @@ def build(arguments: argparse.Namespace) -> Twin:
         pulses = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         pulses.bind(arguments.trigger_socket)
     listener = gvcp.Listener()
-    camera = FakeCamera(ADDRESS, arguments.serial, GENICAM)
+    camera = FakeCamera(ADDRESS, arguments.serial, arguments.genicam)
     registers.power_on(camera)
     return Twin(camera, scene, span, listener, pulses)
 
@@ -203,6 +208,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--scene", default="testpattern", choices=sorted(SCENES))
     parser.add_argument("--seed", type=int, default=0, help="of the scene and the sensor's noise")
     parser.add_argument("--serial", default="50-0503419007")
+    parser.add_argument("--genicam", type=Path, default=GENICAM, help="GenICam description of the camera (XML)")
     parser.add_argument("--mirror", help="file in which the stepper twin keeps the mirror's true position")
     parser.add_argument("--step", type=int, default=0, help="mirror step, where there is no such file")
     parser.add_argument("--trigger-socket", help="unix datagram socket to make, for the stepper twin's trigger pulses")

@@ -34,6 +34,7 @@ class CameraTwinSettings:
         mirror_file: Where the stepper's twin keeps the mirror's true position; None = the mirror stands still at `step`.
         step: See `mirror_file`.
         trigger_socket: Unix datagram socket that it makes for the stepper twin's trigger pulses; None = no Line1.
+        genicam: GenICam description of another camera; None = ``mako.xml``.
     """
 
     scene: str = "testpattern"
@@ -41,6 +42,7 @@ class CameraTwinSettings:
     mirror_file: Path | None = None
     step: int = 0
     trigger_socket: Path | None = None
+    genicam: Path | None = None
 
 
 @dataclass(slots=True)
@@ -58,8 +60,7 @@ class CameraTwin:
         return self._running().pid
 
     async def command(self, text: str) -> str:
-        """Send one line, return the answer: ``stats``, ``freeze``, ``thaw``, ``drop N``, ``loss N``
-        (of a million packets).
+        """Send one line, return the answer; see `scanhsi_sim.twins.camera`.
 
         Raises:
             ValueError: It does not know the command.
@@ -144,4 +145,6 @@ def _arguments(settings: CameraTwinSettings) -> list[str]:
         arguments.append(f"--mirror={settings.mirror_file}")
     if settings.trigger_socket is not None:
         arguments.append(f"--trigger-socket={settings.trigger_socket}")
+    if settings.genicam is not None:
+        arguments.append(f"--genicam={settings.genicam}")
     return arguments

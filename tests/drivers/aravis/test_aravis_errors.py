@@ -102,7 +102,8 @@ def test_missing_library_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_backend() -> None:
-    assert set(backend.capabilities) == {"HardwareTriggered", "FreeRunning", "OverlapsReadout", "ForetellsEnd"}
+    abilities = {"HardwareTriggered", "FreeRunning", "OverlapsReadout", "ForetellsEnd", "MeasuresTemperature"}
+    assert set(backend.capabilities) == abilities
     assert isinstance(backend.create(AravisOptions(address="127.0.0.1")), AravisCamera)
     assert set(scanhsi_aravis.__all__) <= set(vars(scanhsi_aravis))
     fields = backend.options.model_fields
