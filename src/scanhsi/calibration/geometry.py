@@ -3,9 +3,9 @@
 A mirror step turns the view by twice the step's angle. With the optical angle ``gamma = 2 dtheta (k - k0)`` from the normal
 of a plane at distance ``r``, a line lies at ``y = -r tan(gamma)`` (Eqs. 8, 12) and a sample at ``x = (s - s0) dx / cos(gamma)``
 (Eq. 9, with the principal column s0 that the paper leaves out). A plane that is tilted by ``tilt`` about the slit's direction is
-met at ``y = -r sin(gamma) / cos(gamma + tilt)`` along it. A shaft of the drive that is out of true moves the mirror to and fro with each
-of its turns: to the step k come ``c cos(2 pi k / turn) + s sin(2 pi k / turn)``. A plane that is turned about the direction of the scan
-is not modelled.
+met at ``y = -r sin(gamma) / cos(gamma + tilt)`` along it. A shaft of the drive that is out of true moves the mirror to and fro
+with each of its turns: to the step k come ``c cos(2 pi k / turn) + s sin(2 pi k / turn)``. A plane that is turned about the
+direction of the scan is not modelled.
 """
 
 from __future__ import annotations
