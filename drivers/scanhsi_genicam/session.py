@@ -113,6 +113,7 @@ class Session:
 
     def start(self, buffers: int, deliver: Callable[[Arrival | DeviceError], object]) -> None:
         """Wait for software triggers, start the stream."""
+        self.stop()  # of an earlier acquisition, where disarming was cancelled
         with translated(self._name, "arm"):
             camera = self._open()
             camera.enable_trigger("FrameStart", "Software")
@@ -146,7 +147,9 @@ class Session:
                 stream.__exit__(None, None, None)
 
     def close(self) -> None:
-        """Give up control."""
+        """Give up control; stop the stream, where a disarming that was cancelled did not."""
+        with suppress(DeviceError):
+            self.stop()
         camera, self._camera = self._camera, None
         if camera is not None:
             with suppress(DeviceError), translated(self._name, "close"):

@@ -20,6 +20,8 @@ from scanhsi_serial.errors import open_error
 P = TypeVar("P", bound=asyncio.Protocol)
 
 _OPEN_S = 5.0
+_GIVEN_UP_S = 0.5
+"""Time for an opening that was cancelled to come to its end."""
 
 
 async def open_port(port: str, baud: int, factory: Callable[[], P], device: str) -> tuple[asyncio.Transport, P]:
@@ -45,6 +47,8 @@ async def _open_in_thread(port: str, baud: int, device: str) -> Any:
         job.add_done_callback(
             _close_late
         )  # the thread goes on: a port that it still opens must not stay open, and locked
+        if isinstance(error, asyncio.CancelledError):
+            await asyncio.wait([job], timeout=_GIVEN_UP_S)  # else whoever opens it next finds it in use
         if isinstance(error, TimeoutError):
             raise DeviceTimeout("the port does not open.", device=device, waited_s=_OPEN_S) from None
         if isinstance(error, serial.SerialException | OSError | ValueError):

@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from typing import ClassVar
 
 import pytest
 
 from scanhsi.clock import now_ns
-from scanhsi.devices import Actuator, Motion, Sweep, Sweeps
-from scanhsi.devices.errors import DeviceBusy, DeviceError, OutOfRange, UnsupportedFeature
-from scanhsi.testing.devices import DeviceConformance, refused
+from scanhsi.devices import Actuator
+from scanhsi.devices.errors import DeviceBusy, DeviceError, OutOfRange
+from scanhsi.testing.actuator_abilities import ActuatorAbilities
+from scanhsi.testing.actuator_cancelled import ActuatorCancelled
+from scanhsi.testing.actuator_suite import ActuatorSuite
+from scanhsi.testing.devices import refused
 
 
-class ActuatorConformance(DeviceConformance[Actuator]):
-    """Inherit, write ``make``, and every test below runs on your actuator.
-
-    Attributes:
-        travel: Steps that the tests move by; must fit between the limits on both sides of the home position.
-    """
-
-    travel: ClassVar[int] = 40
-
-    async def ready(self, actuator: Actuator) -> None:
-        """Home it, if it does not know where it is."""
-        if not actuator.homed:
-            await actuator.home()
+class ActuatorConformance(ActuatorAbilities, ActuatorCancelled, ActuatorSuite):
+    """Inherit, write ``make``, and every test below runs on your actuator; its attributes are those of `ActuatorSuite`."""
 
     # --- being there ------------------------------------------------------------------------------------------------------
 
@@ -133,14 +124,14 @@ class ActuatorConformance(DeviceConformance[Actuator]):
 
         async def use(actuator: Actuator) -> None:
             await self.ready(actuator)
-            far = self._far(actuator)
-            whole = await self._duration_s(actuator, far)
+            far = self.far(actuator)
+            whole = await self.duration_s(actuator, far)
             moving = asyncio.ensure_future(actuator.move_to(far))
             await asyncio.sleep(share * whole)
             await actuator.stop()
             with suppress(DeviceError):
                 await moving
-            await self._works(actuator)
+            await self.works(actuator)
 
         self.run(use)
 
@@ -150,15 +141,15 @@ class ActuatorConformance(DeviceConformance[Actuator]):
 
         async def use(actuator: Actuator) -> None:
             await self.ready(actuator)
-            far = self._far(actuator)
-            whole = await self._duration_s(actuator, far)
+            far = self.far(actuator)
+            whole = await self.duration_s(actuator, far)
             moving = asyncio.ensure_future(actuator.move_to(far))
             await asyncio.sleep(share * whole)
             moving.cancel()
             with suppress(asyncio.CancelledError, DeviceError):
                 await moving
             await actuator.stop()
-            await self._works(actuator)
+            await self.works(actuator)
 
         self.run(use)
 
@@ -170,7 +161,7 @@ class ActuatorConformance(DeviceConformance[Actuator]):
             await actuator.move_to(5)
             for _ in range(3):
                 await actuator.stop()
-            await self._works(actuator)
+            await self.works(actuator)
 
         self.run(use)
 
@@ -180,100 +171,6 @@ class ActuatorConformance(DeviceConformance[Actuator]):
         async def use(actuator: Actuator) -> None:
             await refused("move_to() before connect()", (DeviceError,), actuator.move_to(1))
             await actuator.connect()
-            await self._works(actuator)
+            await self.works(actuator)
 
         self.run(use, connected=False)
-
-    # --- optional abilities -----------------------------------------------------------------------------------------------
-
-    def test_sweeps(self) -> None:
-        """`Sweeps`: never faster than asked, within the extent told, ends standing, counts its pulses."""
-
-        async def use(actuator: Actuator) -> None:
-            if not isinstance(actuator, Sweeps):
-                pytest.skip("it does not sweep")
-            await self.ready(actuator)
-            rate = min(200.0, actuator.info.max_rate_steps_s / 4)
-            asked = Sweep(first=-10, every=2, count=11, rate_steps_s=rate)
-            sweep = actuator.check_sweep(asked)
-            assert sweep.rate_steps_s <= asked.rate_steps_s * 1.000001
-            assert (sweep.first, sweep.every, sweep.count) == (asked.first, asked.every, asked.count)
-            low, high = actuator.extent(sweep)
-            assert low <= sweep.first
-            assert high >= sweep.last
-            assert actuator.run_up_s(sweep) >= 0
-            await actuator.prepare_sweep(sweep)
-            motion = await actuator.sweep(sweep)
-            assert motion.moved_ns - motion.commanded_ns >= (sweep.count - 1) * sweep.period_s * 0.9e9
-            assert low <= actuator.position <= high
-            if _gives_pulses(actuator, asked):
-                pulsed = actuator.check_sweep(_with_pulses(asked))
-                await actuator.prepare_sweep(pulsed)
-                assert (await actuator.sweep(pulsed)).pulses == asked.count
-
-        self.run(use)
-
-    def test_a_sweep_beyond_the_limits_is_refused(self) -> None:
-        """`OutOfRange` before anything moves: limits, run-up included, and speed."""
-
-        async def use(actuator: Actuator) -> None:
-            if not isinstance(actuator, Sweeps):
-                pytest.skip("it does not sweep")
-            await self.ready(actuator)
-            info = actuator.info
-            outside = int(info.limits.maximum)
-            for sweep in (
-                Sweep(first=outside - 5, every=1, count=20, rate_steps_s=100),
-                Sweep(first=0, every=1, count=10, rate_steps_s=info.max_rate_steps_s * 10),
-            ):
-                with pytest.raises(OutOfRange):
-                    actuator.check_sweep(sweep)
-
-        self.run(use)
-
-    def test_a_sweep_can_be_stopped(self) -> None:
-        """``stop`` beside a running sweep."""
-
-        async def use(actuator: Actuator) -> None:
-            if not isinstance(actuator, Sweeps):
-                pytest.skip("it does not sweep")
-            await self.ready(actuator)
-            sweep = actuator.check_sweep(Sweep(first=0, every=1, count=100, rate_steps_s=100))
-            await actuator.prepare_sweep(sweep)
-            sweeping = asyncio.ensure_future(actuator.sweep(sweep))
-            await asyncio.sleep(actuator.run_up_s(sweep) + 0.3)
-            await actuator.stop()
-            with suppress(DeviceError):
-                await sweeping
-            await self._works(actuator)
-
-        self.run(use)
-
-    # --- helpers ----------------------------------------------------------------------------------------------------------
-
-    def _far(self, actuator: Actuator) -> int:
-        return min(int(actuator.info.limits.maximum), 10 * self.travel)
-
-    async def _duration_s(self, actuator: Actuator, step: int) -> float:
-        """How long a motion takes, there; and back at the start."""
-        await actuator.move_to(0)
-        motion: Motion = await actuator.move_to(step)
-        await actuator.move_to(0)
-        return (motion.moved_ns - motion.commanded_ns) * 1e-9
-
-    async def _works(self, actuator: Actuator) -> None:
-        await self.ready(actuator)
-        motion = await actuator.move_to(7)
-        assert motion.step == actuator.position == 7
-
-
-def _with_pulses(sweep: Sweep) -> Sweep:
-    return Sweep(sweep.first, sweep.every, sweep.count, sweep.rate_steps_s, pulses=True)
-
-
-def _gives_pulses(actuator: Sweeps, sweep: Sweep) -> bool:
-    try:
-        actuator.check_sweep(_with_pulses(sweep))
-    except UnsupportedFeature:
-        return False
-    return True

@@ -5,62 +5,21 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from scanhsi.clock import now_ns
-from scanhsi.devices import Camera, CameraSettings, Frame, FrameEvent, FrameGap, FreeRunning, PixelFormat, Roi, Trigger
+from scanhsi.devices import Camera, CameraSettings, Frame, FrameGap, Roi, Trigger
 from scanhsi.devices.errors import DeviceBusy, DeviceError, OutOfRange, UnsupportedFeature
-from scanhsi.testing.devices import DeviceConformance, refused
+from scanhsi.testing.camera_abilities import CameraAbilities
+from scanhsi.testing.camera_cancelled import CameraCancelled
+from scanhsi.testing.camera_suite import BUFFERS, CameraSuite
+from scanhsi.testing.devices import refused
 
-_BUFFERS = 8
 
-
-class CameraConformance(DeviceConformance[Camera]):
-    """Inherit, write ``make``, and every test below runs on your camera.
-
-    Attributes:
-        exposure_s: Exposure time that the tests use; the shortest allowed one if it is longer.
-        shape: (bands, samples) of the region that the tests read; clipped to the sensor and its granularity.
-        loses_frames: The device may lose a frame now and then, as a real network does: a gap is then no failure where the
-            contract allows one.
-    """
-
-    exposure_s: ClassVar[float] = 0.01
-    shape: ClassVar[tuple[int, int]] = (32, 64)
-    loses_frames: ClassVar[bool] = False
-
-    # --- what the tests are made of ---------------------------------------------------------------------------------------
-
-    def settings(self, camera: Camera, pixel_format: PixelFormat | None = None) -> CameraSettings:
-        """Settings that the camera allows."""
-        info = camera.info
-        bands, samples = (
-            max(step, min(wanted, whole) // step * step)
-            for wanted, whole, step in zip(self.shape, (info.bands, info.samples), info.roi_step, strict=True)
-        )
-        return CameraSettings(
-            exposure_s=max(self.exposure_s, info.exposure.minimum),
-            gain_db=info.gain.minimum,
-            pixel_format=pixel_format or info.pixel_formats[0],
-            roi=Roi(0, 0, samples, bands),
-        )
-
-    async def ready(self, camera: Camera, buffers: int = _BUFFERS) -> CameraSettings:
-        """Configure and arm for software triggers."""
-        applied = await camera.configure(self.settings(camera))
-        await camera.arm(Trigger.SOFTWARE, buffers)
-        return applied
-
-    async def take(self, camera: Camera, count: int) -> list[FrameEvent]:
-        """Expose and receive one after the other, until so many exposures have ended as a frame or in a gap."""
-        stream, events = camera.frames(), list[FrameEvent]()
-        for _ in range(count):
-            await camera.expose()
-            events.append(await anext(stream))
-        return events
+class CameraConformance(CameraCancelled, CameraAbilities, CameraSuite):
+    """Inherit, write ``make``, and every test below runs on your camera; its attributes are those of `CameraSuite`."""
 
     # --- being there ------------------------------------------------------------------------------------------------------
 
@@ -158,7 +117,7 @@ class CameraConformance(DeviceConformance[Camera]):
             ]
             for settings in wrong:
                 await refused(f"configure({settings})", (OutOfRange,), camera.configure(settings))
-            await camera.arm(Trigger.SOFTWARE, _BUFFERS)
+            await camera.arm(Trigger.SOFTWARE, BUFFERS)
             event = (await self.take(camera, 1))[0]
             if isinstance(event, Frame):
                 assert event.shape == good.roi.shape
@@ -182,8 +141,8 @@ class CameraConformance(DeviceConformance[Camera]):
             await camera.configure(self.settings(camera))
             unknown = [trigger for trigger in Trigger if trigger not in camera.info.triggers]
             for trigger in unknown:
-                await refused(f"arm({trigger})", (UnsupportedFeature,), camera.arm(trigger, _BUFFERS))
-            await camera.arm(Trigger.SOFTWARE, _BUFFERS)
+                await refused(f"arm({trigger})", (UnsupportedFeature,), camera.arm(trigger, BUFFERS))
+            await camera.arm(Trigger.SOFTWARE, BUFFERS)
             assert len(await self.take(camera, 1)) == 1
 
         self.run(use)
@@ -253,7 +212,7 @@ class CameraConformance(DeviceConformance[Camera]):
             for pixel_format in camera.info.pixel_formats:
                 applied = await camera.configure(self.settings(camera, pixel_format))
                 assert applied.roi is not None
-                await camera.arm(Trigger.SOFTWARE, _BUFFERS)
+                await camera.arm(Trigger.SOFTWARE, BUFFERS)
                 event = (await self.take(camera, 1))[0]
                 if isinstance(event, Frame):
                     assert event.pixel_format is pixel_format
@@ -383,28 +342,5 @@ class CameraConformance(DeviceConformance[Camera]):
                 if isinstance(event, Frame):
                     group.create_task(camera.unpack(event, np.empty(event.shape, event.pixel_format.dtype)))
             await anext(stream)
-
-        self.run(use)
-
-    # --- optional abilities -----------------------------------------------------------------------------------------------
-
-    def test_free_running(self) -> None:
-        """`FreeRunning`: the period is as asked or longer, is kept, and frames tell the start of their exposure."""
-
-        async def use(camera: Camera) -> None:
-            if not isinstance(camera, FreeRunning) or Trigger.FREE_RUN not in camera.info.triggers:
-                pytest.skip("it does not free-run")
-            applied = await camera.configure(self.settings(camera))
-            asked_s = max(4 * applied.exposure_s, 4 * camera.info.readout_s, 0.05)
-            period_s = await camera.set_frame_period(asked_s)
-            assert period_s == pytest.approx(asked_s, rel=0.02)
-            await camera.arm(Trigger.FREE_RUN, _BUFFERS)
-            stream = camera.frames()
-            events = [await anext(stream) for _ in range(6)]
-            starts = [event.exposure_start_ns for event in events if isinstance(event, Frame)]
-            assert None not in starts
-            if not self.loses_frames:
-                distances = np.diff([start for start in starts if start is not None]) * 1e-9
-                np.testing.assert_allclose(np.median(distances), period_s, rtol=0.05)
 
         self.run(use)

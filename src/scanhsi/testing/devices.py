@@ -6,13 +6,14 @@ import asyncio
 import os
 import threading
 import time
-from collections.abc import Awaitable, Callable, Generator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from scanhsi import clock
 from scanhsi.devices import Actuator, Camera, Light
+from scanhsi.devices.errors import DeviceError
 
 D = TypeVar("D", Camera, Actuator, Light)
 T = TypeVar("T")
@@ -117,3 +118,16 @@ async def refused(doing: str, kinds: tuple[type[BaseException], ...], call: Awai
         raised(kinds, error, doing)
         return error
     raise AssertionError(f"{doing} was not refused; it returned {result!r}")
+
+
+async def cancelled_after(rounds: int, call: Coroutine[Any, Any, Any]) -> None:
+    """Begin a call, cancel it after so many rounds of the event loop, and wait until it has ended, as well or as badly as it may.
+
+    An error that is not of the tree comes through.
+    """
+    task = asyncio.ensure_future(call)
+    for _ in range(rounds):
+        await asyncio.sleep(0)
+    task.cancel()
+    with suppress(asyncio.CancelledError, DeviceError):
+        await task
