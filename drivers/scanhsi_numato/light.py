@@ -81,13 +81,15 @@ class NumatoLight:
         )
 
     async def close(self) -> None:
-        """Switch off, then close the port."""
+        """Switch off, then close the port; when cancelled before it was off, the port stays open for another ``off`` or ``close``."""
         try:
             if self._link is not None and not self._link.lost.is_set():
                 with contextlib.suppress(DeviceLost):
                     await self.off()
-        finally:
+        except Exception:
             await self._close_port()
+            raise
+        await self._close_port()
 
     async def on(self, level: float | None = None) -> Lit:
         """Switch on; a light that is on already stays on."""

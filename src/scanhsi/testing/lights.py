@@ -10,7 +10,7 @@ import pytest
 from scanhsi.clock import now_ns
 from scanhsi.devices import Light
 from scanhsi.devices.errors import DeviceBusy, DeviceError, OutOfRange
-from scanhsi.testing.devices import DeviceConformance, refused
+from scanhsi.testing.devices import DeviceConformance, cancelled_after, refused
 
 
 class LightConformance(DeviceConformance[Light]):
@@ -109,6 +109,25 @@ class LightConformance(DeviceConformance[Light]):
             assert light.level > 0
 
         self.run(use)
+
+    @pytest.mark.parametrize("rounds", [0, 1, 3])
+    @pytest.mark.parametrize("method", ["connect", "off", "close"])
+    def test_any_method_may_be_cancelled(self, method: str, rounds: int) -> None:
+        """Cancelled after some rounds of the loop: ``close`` works, then it can be opened anew, and is off."""
+
+        async def use(light: Light) -> None:
+            if method != "connect":
+                await light.connect()
+                await light.on()
+            call = {"connect": light.connect, "off": light.off, "close": light.close}[method]
+            await cancelled_after(rounds, call())
+            await light.close()
+            await light.connect()
+            assert light.level == 0
+            await light.on()
+            await light.off()
+
+        self.run(use, connected=False)
 
     def test_close_switches_off(self) -> None:
         """Whoever connects next finds it off."""
