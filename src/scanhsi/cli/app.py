@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import inspect
 import logging
 import os
 import signal
@@ -103,6 +104,19 @@ for _command in (
     verify,
 ):
     _command.register(app)
+
+
+def _unwrap(commands: typer.Typer) -> None:
+    """Join the lines of each paragraph of help: typer keeps those of docstrings, whatever the width of the terminal."""
+    for command in commands.registered_commands:
+        text = command.help or inspect.getdoc(command.callback) or ""
+        command.help = "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
+    for group in commands.registered_groups:
+        if group.typer_instance is not None:
+            _unwrap(group.typer_instance)
+
+
+_unwrap(app)
 
 
 def _version(asked: bool) -> None:

@@ -43,7 +43,12 @@ def register(app: typer.Typer) -> None:
 
 
 def lines(
-    instrument: Annotated[str, typer.Argument(help="Name of a shipped instrument, or path of an instrument file.")],
+    instrument: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a shipped instrument (sensors2019, characterise, twin), or path of an instrument file."
+        ),
+    ],
     output: Annotated[
         Path,
         typer.Option(

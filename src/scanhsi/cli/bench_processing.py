@@ -29,7 +29,7 @@ def processing(
     samples: Annotated[int, typer.Option(metavar="N", min=10)] = 1200,
     openhsi: Annotated[
         Path | None,
-        typer.Option(metavar="PYTHON", help=f"Of an environment that has openhsi. [default: {_PEERS}, if there]"),
+        typer.Option(metavar="PYTHON", help="Of an environment that has openhsi.", show_default=f"{_PEERS}, if there"),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:

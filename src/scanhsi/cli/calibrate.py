@@ -32,7 +32,9 @@ def _all_kinds(
     ],
     instrument: Annotated[
         str | None,
-        typer.Argument(help="Name of a shipped instrument, or path of an instrument file; not with --from."),
+        typer.Argument(
+            help="Name of a shipped instrument (sensors2019, characterise, twin), or path of an instrument file; not with --from."
+        ),
     ] = None,
     cubes: Annotated[
         list[str] | None,

@@ -23,15 +23,15 @@ WhiteOption = Annotated[
     Path | None, typer.Option(help="White reference: a cube of the tile, or of `scanhsi calibrate white`.")
 ]
 WhiteDarkOption = Annotated[
-    Path | None, typer.Option(help="Dark reference at the exposure of the white one. [default: --dark]")
+    Path | None, typer.Option(help="Dark reference at the exposure of the white one.", show_default="--dark")
 ]
 TileOption = Annotated[
     float | None,
-    typer.Option(help="Reflectance of the white tile. [default: as the white reference says, or 0.99]"),
+    typer.Option(help="Reflectance of the white tile.", show_default="as the white reference says, or 0.99"),
 ]
 SaturationOption = Annotated[
     float | None,
-    typer.Option(help="Counts from which a pixel is saturated. [default: a plateau that is found, or full scale]"),
+    typer.Option(help="Counts from which a pixel is saturated.", show_default="a plateau that is found, or full scale"),
 ]
 WavelengthOption = Annotated[
     Path | None, typer.Option(help="Wavelength calibration, of `scanhsi calibrate wavelength`.")

@@ -32,7 +32,7 @@ def register(app: typer.Typer) -> None:
 
 
 def record(
-    cubes: Annotated[list[str], typer.Argument(metavar="CUBE...", help="Cubes of one instrument; folders or URLs.")],
+    cubes: Annotated[list[str], typer.Argument(metavar="CUBE", help="Cubes of one instrument; folders or URLs.")],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="PROFILE.json", help="Profile to write; replaced if it exists.")
     ],

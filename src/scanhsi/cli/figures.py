@@ -22,7 +22,7 @@ def figures(
     found: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RESULTS...", help="Folders, or files: results (*.nc) with their cubes, records of the bench."
+            metavar="RESULT", help="Folders, or files: results (*.nc) with their cubes, records of the bench."
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the figures.")] = Path(

@@ -17,7 +17,12 @@ def register(app: typer.Typer) -> None:
 
 
 def plan(
-    instrument: Annotated[str, typer.Argument(help="Name of a shipped instrument, or path of an instrument file.")],
+    instrument: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a shipped instrument (sensors2019, characterise, twin), or path of an instrument file."
+        ),
+    ],
     height: Annotated[float, typer.Option(help="Length of the field along the scan, mm.")],
     step: Annotated[int | None, typer.Option(min=1, help="Steps from line to line; default: square pixels.")] = None,
     f_number: Annotated[float | None, typer.Option(help="Of the lens, for the depth of field.")] = None,

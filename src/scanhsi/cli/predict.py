@@ -33,7 +33,10 @@ def register(app: typer.Typer) -> None:
 
 def predict(
     instrument: Annotated[
-        str, typer.Argument(help="Name of a shipped instrument (sensors2019), or path of an instrument file.")
+        str,
+        typer.Argument(
+            help="Name of a shipped instrument (sensors2019, characterise, twin), or path of an instrument file."
+        ),
     ] = "sensors2019",
     mode: Annotated[str | None, typer.Option(help="Mode of which to tell what shorter delays would gain.")] = None,
     lines: Annotated[str | None, typer.Option(metavar="N", help="Lines of the cube.")] = None,

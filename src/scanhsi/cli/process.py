@@ -41,12 +41,15 @@ def register(app: typer.Typer) -> None:
 
 def process(
     cubes: Annotated[
-        list[str], typer.Argument(metavar="CUBE...", help="Raw cubes; a quoted pattern ('runs/*.zarr') names many.")
+        list[str], typer.Argument(metavar="CUBE", help="Raw cubes; a quoted pattern ('runs/*.zarr') names many.")
     ],
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Cube to create; for many cubes the folder to create them in. [default: beside each]"
+            "--output",
+            "-o",
+            help="Cube to create; for many cubes the folder to create them in.",
+            show_default="beside each",
         ),
     ] = None,
     dark: DarkOption = None,
@@ -173,7 +176,7 @@ def repack(
     cube: Annotated[Path, typer.Argument(help="Cube to repack.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Cube to create. [default: replace the old one when all is verified]"),
+        typer.Option("--output", "-o", help="Cube to create.", show_default="replace the old one when all is verified"),
     ] = None,
     codec: Annotated[Literal["lz4", "zstd", "none", "raw"], typer.Option(help="Of the new cube.")] = "lz4",
     threads: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,

@@ -65,7 +65,7 @@ def scan(
     instrument: Annotated[
         str | None,
         typer.Argument(
-            help="Name of a shipped instrument (sensors2019, twin), or path of an instrument file.",
+            help="Name of a shipped instrument (sensors2019, characterise, twin), or path of an instrument file.",
             show_default="sensors2019",
         ),
     ] = None,

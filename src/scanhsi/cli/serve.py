@@ -22,7 +22,10 @@ def register(app: typer.Typer) -> None:
 
 def serve(
     instrument: Annotated[
-        str, typer.Argument(help="Name of a shipped instrument (sensors2019), or path of an instrument file.")
+        str,
+        typer.Argument(
+            help="Name of a shipped instrument (sensors2019, characterise, twin), or path of an instrument file."
+        ),
     ] = "sensors2019",
     data: Annotated[
         Path, typer.Option("--data", "-d", metavar="FOLDER", help="Where cubes, results and recipes are kept.")

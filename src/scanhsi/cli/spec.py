@@ -22,7 +22,7 @@ def spec(
     results: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RESULT...",
+            metavar="RESULT",
             help="Results of `scanhsi calibrate` (*.nc), records of `scanhsi bench lines` (*.jsonl).",
         ),
     ],

@@ -24,7 +24,9 @@ def view(
     cube: Annotated[str, typer.Argument(help="Cube to look at: a folder, or a URL of an object store.")],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Picture, .png, .pdf or .svg. [default: CUBE.png, here]"),
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Picture, .png, .pdf or .svg.", show_default="CUBE.png, here"
+        ),
     ] = None,
     band: Annotated[float, typer.Option(metavar="NM", help="Wavelength of the band picture, in nm.")] = 803.0,
     ratio: Annotated[
