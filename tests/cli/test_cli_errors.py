@@ -28,7 +28,7 @@ def check(cli: Cli, code: int, fragment: str, *words: object) -> None:
 
 CAMERA = 'driver = "simulated"\nprofile = "ideal"\nscene'
 ACTUATOR = 'driver = "simulated"\nprofile = "ideal"\n[geometry]'
-NO_DRIVER = "camera.driver = \"simulatd\": there is no camera driver 'simulatd'; installed are: aravis, simulated"
+NO_DRIVER = "camera.driver = \"simulatd\": there is no camera driver 'simulatd'; installed are: aravis, "
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_wrong_instrument_files(cli: Cli, mini: Path, old: str, new: str, code: 
         (["--exposure", "5 ms"], "exposure 0.005 s is not allowed; allowed is 0.01 to 2 s"),
         (["--gain", "26 dB"], "gain 26 dB is not allowed; allowed is 0 to 25 dB"),
         (["--pixel-format", "Mono16"], "pixel format Mono16 is not allowed; allowed are Mono8"),
-        (["--start", "2398"], "step 2403 steps is not allowed; allowed is -2400 to 2400 steps"),
+        (["--start", "2398"], "position 2403 steps is not allowed; allowed is -2400 to 2400 steps"),
         (["--exposure", "100"], 'exposure = "100": has no unit'),
         (
             ["--lines", "0", "--mode", "fast"],

@@ -112,7 +112,7 @@ def test_limits_narrow_what_devices_allow() -> None:
             assert instrument.camera_info.exposure.minimum == pytest.approx(0.01)
             settings = CameraSettings(0.02, 3.0, PixelFormat.MONO8)
             assert instrument.check(settings, (-1200, 1200)).roi == Roi(0, 0, 128, 64)
-            with pytest.raises(OutOfRange, match=r"step 1201 steps is not allowed; allowed is -1200 to 1200 steps"):
+            with pytest.raises(OutOfRange, match=r"position 1201 steps is not allowed; allowed is -1200 to 1200 steps"):
                 instrument.check(settings, (0, 1201))
             with pytest.raises(OutOfRange, match=r"exposure 0.005 s is not allowed; allowed is 0.01 to 2 s"):
                 instrument.check(CameraSettings(0.005, 0.0, PixelFormat.MONO8), ())

@@ -16,7 +16,7 @@ from scanhsi.calibration.light import LightStability
 from scanhsi.calibration.photon_transfer import PhotonTransfer
 from scanhsi.calibration.repeatability import Repeatability
 from scanhsi.calibration.resolution import BarContrast, EdgeResponse
-from scanhsi.calibration.result import Result, load
+from scanhsi.calibration.result import Result, load, unreadable
 from scanhsi.calibration.smile import Smile
 from scanhsi.calibration.snr import SignalToNoise
 from scanhsi.calibration.wavelength import Wavelength
@@ -59,8 +59,7 @@ def load_any(path: str | Path) -> Result:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
             kind = dataset.attrs.get("scanhsi_calibration")
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "it is no NetCDF-4 file"
-        raise CalibrationError(f"cannot read {path}: {reason}.") from error
+        raise unreadable(path) from error
     if kind not in KINDS:
         raise CalibrationError(
             f"{path} holds {f'a {kind} result' if kind else 'no calibration'}, which this scanhsi does not know."

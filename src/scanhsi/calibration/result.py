@@ -194,6 +194,18 @@ def save(result: Result, path: str | Path) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def unreadable(path: str | Path) -> CalibrationError:
+    """What to say of a file that cannot be opened as a result; HDF5's own words are for programmers."""
+    if not Path(path).exists():
+        return CalibrationError(f"there is no {path}.")
+    if not os.access(path, os.R_OK):
+        return CalibrationError(f"cannot read {path}: permission denied.")
+    return CalibrationError(
+        f"cannot read {path}: it is no NetCDF-4 file.",
+        hint="a result of `scanhsi calibrate`; a cube is a folder, *.zarr",
+    )
+
+
 def load(kind: type[R], path: str | Path) -> R:
     """Read a result that `save` wrote.
 
@@ -204,4 +216,4 @@ def load(kind: type[R], path: str | Path) -> R:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
             return from_dataset(kind, dataset.load(), str(path))
     except OSError as error:
-        raise CalibrationError(f"cannot read {path}: {error.strerror or 'it is no NetCDF-4 file'}.") from error
+        raise unreadable(path) from error

@@ -190,7 +190,8 @@ def remote_errors(location: Location) -> Generator[None]:
     except exceptions.BaseError as error:
         raise CubeError(
             f"{location} cannot be read: {harmless_reason(str(error))}.",
-            hint="AWS_ENDPOINT_URL (and AWS_ALLOW_HTTP=true for http) in the environment, or storage_options",
+            hint="AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT_URL (with AWS_ALLOW_HTTP=true for http) "
+            "in the environment; from Python also storage_options",
         ) from None
 
 

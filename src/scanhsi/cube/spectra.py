@@ -82,6 +82,10 @@ def spectrum_at(dataset: xr.Dataset, line: int, sample: int) -> Floats:
     return np.asarray(dataset["cube"].isel(line=line, sample=sample).values, np.float64)
 
 
+def _told(part: slice) -> str:
+    return ":".join("" if end is None else str(end) for end in (part.start, part.stop))
+
+
 def region_spectrum(dataset: xr.Dataset, lines: slice = slice(None), samples: slice = slice(None)) -> RegionSpectrum:
     """Mean, spread and number of the pixels of a region.
 
@@ -93,8 +97,9 @@ def region_spectrum(dataset: xr.Dataset, lines: slice = slice(None), samples: sl
     here = np.flatnonzero(stored(dataset)[first:end]) + first
     if not here.size or right <= left:
         raise CubeError(
-            f"lines {first}:{end}, samples {left}:{right} hold no pixel of this cube of "
-            f"{dataset.sizes['line']} lines and {dataset.sizes['sample']} samples."
+            f"lines {_told(lines)}, samples {_told(samples)} hold no pixel of this cube of "
+            f"{dataset.sizes['line']} lines and {dataset.sizes['sample']} samples, "
+            f"of which {stored(dataset).sum()} lines are stored."
         )
     bands = dataset.sizes["band"]
     count, total, squares = np.zeros(bands, np.int64), np.zeros(bands), np.zeros(bands)

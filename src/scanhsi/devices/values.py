@@ -42,7 +42,7 @@ class Range:
         step = f" in steps of {self.step:g}" if self.step else ""
         return f"{_written(self.minimum)} to {_written(self.maximum)}{unit}{step}"
 
-    def check(self, name: str, value: float, *, device: str | None = None) -> None:
+    def check(self, name: str, value: float, *, device: str | None = None, hint: str | None = None) -> None:
         """Refuse a value outside the range.
 
         Raises:
@@ -54,4 +54,5 @@ class Range:
                 f"{name} {_written(value)}{unit} is not allowed; allowed is {self}.",
                 device=device,
                 operation=f"set {name}",
+                hint=hint,
             )

@@ -98,7 +98,12 @@ class Instrument:
             OutOfRange: Tells the value and what is allowed.
         """
         for step in steps:
-            self.actuator_info.limits.check("step", step, device=self.actuator_info.name)
+            self.actuator_info.limits.check(
+                "position",
+                step,
+                device=self.actuator_info.name,
+                hint="fewer lines, smaller steps, or another start",
+            )
         return check_settings(self.camera_info, settings)
 
     def describe(self) -> dict[str, Any]:
