@@ -24,6 +24,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from scanhsi.testing.cases import Case, draw
 from scanhsi.testing.checks import check
 from scanhsi.testing.runs import run, warm_up
@@ -184,8 +186,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     logging.disable()
     if options.replay is not None:
-        text = options.replay if options.replay.lstrip().startswith("{") else Path(options.replay).read_text()
-        return _one(Case.model_validate_json(text), f"scan {options.replay[:40]}", shrinks=False)
+        return _one(options.replay, "the case", shrinks=False)
     if options.scan is not None:
         case = draw(options.seed, options.scan)
         return _one(case, f"scan {options.scan} of seed {options.seed}", shrinks=not options.no_shrink)
@@ -209,17 +210,35 @@ def today() -> int:
     return int(datetime.now(UTC).strftime("%Y%m%d"))
 
 
+def _case(told: str) -> Case:
+    try:
+        return Case.model_validate_json(told if told.lstrip().startswith("{") else Path(told).read_text())
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"cannot read {told}: {error.strerror}") from error
+    except ValidationError as error:
+        wrong = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+        raise argparse.ArgumentTypeError(f"no case of scanhsi-fuzz: {wrong}") from error
+
+
+def _count(told: str) -> int:
+    if (number := int(told)) < 1:
+        raise argparse.ArgumentTypeError(f"{number} is too few: at least 1")
+    return number
+
+
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         "scanhsi-fuzz", description="Random scans that go wrong, and what must hold after each."
     )
     parser.add_argument("--seed", type=int, default=today(), help="of all scans; default: the date of today")
-    parser.add_argument("--scans", type=int, default=1000, help="how many (1000)")
-    parser.add_argument("--scan", type=int, help="run this one again")
-    parser.add_argument("--replay", metavar="CASE", help="run a case: JSON, or a file of it")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (2)")
-    parser.add_argument("--watchdog", type=float, default=WATCHDOG_S, help="real seconds that a scan may take (60)")
-    parser.add_argument("--show", type=int, default=3, help="failures to shrink and show (3)")
+    parser.add_argument("--scans", type=_count, metavar="N", default=1000, help="how many (1000)")
+    parser.add_argument("--scan", type=int, metavar="K", help="run this scan of the seed only")
+    parser.add_argument("--replay", metavar="CASE", type=_case, help="run a case: JSON, or a file of it")
+    parser.add_argument("--jobs", type=_count, metavar="N", default=2, help="processes (2)")
+    parser.add_argument(
+        "--watchdog", type=float, metavar="S", default=WATCHDOG_S, help="real seconds that a scan may take (60)"
+    )
+    parser.add_argument("--show", type=int, metavar="N", default=3, help="failures to shrink and show (3)")
     parser.add_argument("--no-shrink", action="store_true", help="show failures as they were drawn")
     return parser.parse_args(arguments)
 
