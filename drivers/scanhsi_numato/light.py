@@ -81,7 +81,7 @@ class NumatoLight:
         )
 
     async def close(self) -> None:
-        """Switch off, then close the port; when cancelled before it was off, the port stays open for another ``off`` or ``close``."""
+        """Switch off, then close the port. Cancelled before it is off, it leaves the port open for another ``off`` or ``close``."""
         try:
             if self._link is not None and not self._link.lost.is_set():
                 with contextlib.suppress(DeviceLost):
