@@ -14,8 +14,6 @@ from support.server import serving
 LINES = 10_000
 ROOM_MB = 16
 """The colour picture, 6 MB, which fills as the scan goes on, and what allocators come to hold."""
-GIVES_BACK = {"MALLOC_MMAP_THRESHOLD_": "100000", "MALLOC_ARENA_MAX": "2"}
-"""glibc gives freed frames back to the system at once. By default it comes to keep a few tens of MB, each thread its own."""
 
 
 def memory_mb(pid: int) -> float:
@@ -28,7 +26,7 @@ def memory_mb(pid: int) -> float:
 @pytest.mark.timeout(1800)
 def test_memory_is_flat_over_ten_thousand_lines(tmp_path: Path) -> None:
     ideal = ("camera.profile=ideal", "actuator.profile=ideal", "camera.scene=testpattern")
-    with serving(tmp_path, *ideal, variables=GIVES_BACK) as server:
+    with serving(tmp_path, *ideal) as server:
         seen: list[tuple[int, float]] = []
 
         async def view(hsi: object) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import logging
 import signal
 import socket
@@ -23,6 +24,9 @@ from scanhsi.service.security import LARGEST_BODY, Security
 from scanhsi.service.station import Station, open_station
 
 MOST_CONNECTIONS: Final = 256
+_M_MMAP_THRESHOLD: Final = -3
+_M_ARENA_MAX: Final = -8
+_FRAME_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,7 @@ async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, tol
         ConfigError: The address cannot be listened on.
         DeviceError: A device cannot be connected.
     """
+    _give_frames_back()
     listening = _listen(serving)
     scheme = "http" if serving.certificate is None else "https"
     host, port = listening.getsockname()[:2]
@@ -92,6 +97,14 @@ async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, tol
         with _ended_by_signals(server, station), _log_told(station):
             told(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}")
             await server.serve(sockets=[listening])
+
+
+def _give_frames_back() -> None:
+    """Have glibc return freed frames to the system at once; by itself each of its arenas comes to keep some."""
+    with contextlib.suppress(OSError, AttributeError):  # another C library, which has ways of its own
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_M_MMAP_THRESHOLD, _FRAME_BYTES)
+        libc.mallopt(_M_ARENA_MAX, 2)
 
 
 def _listen(serving: Serving) -> socket.socket:
