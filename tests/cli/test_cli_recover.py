@@ -75,7 +75,7 @@ def test_a_scan_is_paused_and_goes_on(mini: Path, tmp_path: Path, cli: Cli) -> N
     next(line for line in process.stderr if "going on" in line)
     stdout, stderr = process.communicate(timeout=60)
     assert process.returncode == 0, stderr
-    assert "0 faults, 1 pauses" in stdout
+    assert "0 faults, 1 pause, " in stdout
     (incident,) = cli("info", out, "--json").object["incidents"]
     assert incident["kind"] == "pause"
 

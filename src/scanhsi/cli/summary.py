@@ -34,6 +34,9 @@ def scan_summary(report: ScanReport) -> RenderableType:
                 "result": _result(report),
                 "simulated": Text("SIMULATED, not measured", style="bold yellow") if report.simulated else None,
                 "cube": report.output or "discarded",
+                "finish it": f"scanhsi scan --resume {report.output}"
+                if report.output and report.stopped_early
+                else None,
                 "mode": report.mode,
                 "speed": f"{report.lines_per_second:.2f} lines/s, {duration(report.period_s)} a line, "
                 f"{duration(report.duration_s)} in all"
@@ -84,13 +87,18 @@ def missing_lines(reasons: Mapping[int, str]) -> list[RenderableType]:
     return [*shown, Text(f"and {more} more", style="yellow")] if more else [*shown]
 
 
+def _several(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def interruptions(incidents: Sequence[Incident], retaken: int) -> Text | None:
     """How often and for how long something kept a scan from going on; None where nothing did."""
     if not incidents:
         return None
     faults = sum(incident.kind == "fault" for incident in incidents)
-    told = f"{faults} faults, {len(incidents) - faults} pauses, {duration(sum(each.lasted_s for each in incidents))} in all"
-    return Text(f"{told}; {retaken} lines taken more than once", style="yellow" if faults else "")
+    lasted = duration(sum(each.lasted_s for each in incidents))
+    told = f"{_several(faults, 'fault')}, {_several(len(incidents) - faults, 'pause')}, {lasted} in all"
+    return Text(f"{told}; {_several(retaken, 'line')} taken more than once", style="yellow" if faults else "")
 
 
 def incident_lines(incidents: Sequence[Incident]) -> list[RenderableType]:
