@@ -139,7 +139,7 @@ def test_a_result_is_the_same_after_a_file(tmp_path):
 
 def test_what_is_no_such_file_is_refused(tmp_path):
     (tmp_path / "text.nc").write_text("no")
-    with pytest.raises(CalibrationError, match="cannot read"):
+    with pytest.raises(CalibrationError, match="there is no"):
         load(DarkModel, tmp_path / "missing.nc")
     with pytest.raises(CalibrationError, match="cannot read"):
         load(DarkModel, tmp_path / "text.nc")
