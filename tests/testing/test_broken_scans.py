@@ -1,4 +1,4 @@
-"""A thousand broken scans a day: half of them here, the others in `test_fuzz_more`, so that two processes share them.
+"""A thousand broken scans a day: half of them here, the others in `test_broken_scans_more`, so that two processes share them.
 
 ``scanhsi-fuzz --seed S --scans N`` runs any others.
 """

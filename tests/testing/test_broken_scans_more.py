@@ -1,4 +1,4 @@
-"""The other half of the scans of the day; see `test_fuzz`."""
+"""The other half of the scans of the day; see `test_broken_scans`."""
 
 from __future__ import annotations
 
