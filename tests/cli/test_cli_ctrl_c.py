@@ -166,7 +166,7 @@ def interrupt_at(chosen: list[Moment], folder: Path, together: int) -> Counter[s
 
 
 def test_ctrl_c_at_some_moments(tmp_path: Path) -> None:
-    assert interrupt_at(moments(8, seed=1), tmp_path, together=4).total() == 8
+    assert interrupt_at(moments(4, seed=1), tmp_path, together=2).total() == 4
 
 
 @pytest.mark.soak

@@ -50,7 +50,7 @@ def _picture(page: Any, name: str) -> None:
         page.screenshot(path=Path(PICTURES) / f"{name}.png")
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", ["touch", pytest.param("desktop", marks=pytest.mark.soak)])
 def test_a_whole_session(browser: Any, service: str, data: Path, size: str) -> None:
     with page_at(browser, service, size) as page:
         _take_control(page)
