@@ -36,13 +36,9 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	$(BIN)/scanhsi view $(OUT)/hand.zarr -o $(OUT)/hand.png
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
-test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA)  ## Everything: format, lint, types, layers, documentation, all tests
-	@mkdir -p $(OUT); echo "the tests on twins run beside the others; what they say comes at the end"; \
-	$(BIN)/python -m pytest -m "twin and not soak" >$(OUT)/twin-tests.log 2>&1 & twin=$$!; \
-	trap "kill $$twin 2>/dev/null || true" EXIT; \
-	$(MAKE) --no-print-directory lint docs; \
-	failed=0; $(BIN)/python -m pytest -m "not soak and not twin" -n 2 --dist loadfile || failed=$$?; \
-	wait $$twin || failed=$$?; cat $(OUT)/twin-tests.log; exit $$failed
+test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
+	$(BIN)/python -m pytest -m "not soak and not twin" -n 2 --dist loadfile
+	$(BIN)/python -m pytest -m "twin and not soak"
 
 lint: $(VENV)/.dev $(VENV)/.gi  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .
