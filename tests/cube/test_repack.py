@@ -139,13 +139,17 @@ def test_killed_at_any_call_the_cube_is_there_after_the_next_try(tmp_path):
     calls = int(counting.stdout)
     assert calls > 60
     moments = sorted({*np.linspace(1, calls - 30, 3, dtype=int).tolist(), *range(calls - 28, calls, 9)})
+    killed = 0
     for moment in moments:
         path = prepared(tmp_path / str(moment))
         ended = subprocess.run([sys.executable, "-c", KILLED, str(path), str(moment)], capture_output=True, check=False)
-        assert ended.returncode == -signal.SIGKILL
-        repack(path)
+        assert ended.returncode in (-signal.SIGKILL, 0)  # syncs that fall together are fewer: then it has ended before
+        killed += ended.returncode != 0
+        if ended.returncode:
+            repack(path)
         same(path, RECORDS[path])
         assert [entry.name for entry in path.parent.iterdir()] == ["a.zarr"]
+    assert killed >= len(moments) - 2
 
 
 RECORDS: dict[Path, LineRecords] = {}
