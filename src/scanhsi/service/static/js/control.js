@@ -1,7 +1,7 @@
 // Who is in control: take it, keep it while the page is open, give it up.
 
-import { get, post, put, remove } from "./api.js";
-import { button, fill, field } from "./dom.js";
+import { post, put, remove } from "./api.js";
+import { button, field } from "./dom.js";
 import { refresh } from "./live.js";
 import { ask, attempt } from "./messages.js";
 import { on, setLease, state } from "./store.js";

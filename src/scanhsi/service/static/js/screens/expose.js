@@ -9,17 +9,9 @@ import { command, commands, controlNote, framePicture, jobCard, liveSwitch } fro
 
 function open(element, page) {
   const frame = framePicture(page);
-  const histogram = plot({ label: "histogram of counts" });
   const spectrum = plot({ label: "mean spectrum" });
   const [brightest, mean, saturated] = [stat("brightest"), stat("mean"), stat("saturated")];
   page.on("frame", (shown) => {
-    const width = (shown.full_scale + 1) / shown.histogram.length;
-    histogram.show({
-      x: shown.histogram.map((_, index) => (index + 0.5) * width),
-      bars: shown.histogram.map((count) => Math.log10(1 + count)),
-      hot: shown.histogram.length - 1,
-      xlabel: "counts", ylabel: "log₁₀ of pixels", ymin: 0,
-    });
     spectrum.show({ x: shown.spectrum.map((_, index) => index * shown.stride[0]), lines: [{ y: shown.spectrum }], xlabel: "band", ylabel: "counts", ymin: 0 });
     brightest.show(percent(shown.maximum / shown.full_scale));
     mean.show(percent(shown.mean / shown.full_scale));
@@ -39,7 +31,7 @@ function open(element, page) {
     gain.value = info.camera.gain_db;
     format.value = info.camera.pixel_format;
     warning.hidden = !(info.camera.gain_db > 0);
-    fastest.textContent = `At this exposure at most ${(1 / info.camera.exposure_s).toFixed(1)} lines/s.`;
+    tellFastest(fastest);
   });
   const apply = () => patch("/camera", { exposure_s: exposure.value / 1e3, gain_db: gain.value, pixel_format: format.value || null });
   for (const one of [exposure, gain]) {
@@ -58,22 +50,28 @@ function open(element, page) {
     job.element,
     fastest,
     h("p.muted", "Auto-exposure wants the white tile before the instrument. Saturated pixels are red."));
-  element.append(h("div.panes", h("div.pane", frame.element, h("div.card.narrow-only", { style: { flex: "0 0 42%" } }, histogram.element)),
-    h("div.pane.plots", h("div.card.fills", h("h2", "Histogram"), wideHistogram(page)), h("div.card.fills", h("h2", "Spectrum"), spectrum.element)),
+  element.append(h("div.panes", h("div.pane", frame.element, h("div.card.narrow-only", { style: { flex: "0 0 42%" } }, histogram(page))),
+    h("div.pane.plots", h("div.card.fills", h("h2", "Histogram"), histogram(page)), h("div.card.fills", h("h2", "Spectrum"), spectrum.element)),
     controls));
   commands(page, controls);
 }
 
-// The same histogram in the pane of a wide window.
-function wideHistogram(page) {
+// Below the picture in a narrow window, in a pane of its own in a wide one.
+function histogram(page) {
   const shown = plot({ label: "histogram of counts" });
-  page.on("frame", ({ histogram, full_scale: top }) => shown.show({
-    x: histogram.map((_, index) => ((index + 0.5) * (top + 1)) / histogram.length),
-    bars: histogram.map((count) => Math.log10(1 + count)),
-    hot: histogram.length - 1,
+  page.on("frame", ({ histogram: counts, full_scale: top }) => shown.show({
+    x: counts.map((_, index) => ((index + 0.5) * (top + 1)) / counts.length),
+    bars: counts.map((count) => Math.log10(1 + count)),
+    hot: counts.length - 1,
     xlabel: "counts", ylabel: "log₁₀ of pixels", ymin: 0,
   }));
   return shown.element;
+}
+
+// What the exposure leaves of the line rate: of a sweep, which is the fastest, by the delays of the instrument.
+async function tellFastest(element) {
+  const told = await post("/plan", { mode: "continuous" }).catch(() => null);
+  element.textContent = told?.time ? `At this exposure at most ${told.time.lines_per_second.toFixed(1)} lines/s.` : "";
 }
 
 export default { title: "Expose", open };

@@ -9,25 +9,20 @@ import { command, commands, controlNote, jobCard } from "./common.js";
 
 const KINDS = [["dark", "Dark", "Cover the lens. Without a dark reference, reflectance is wrong where it is dark."],
   ["white", "White", "Put the white tile before the instrument. Without a white reference there is no reflectance."]];
-const STALE_S = 12 * 3600;
 
 function open(element, page) {
   const cards = h("div.pane.scrolls", { tabIndex: 0 });
-  let results = [];
-  const draw = () => {
+  const load = () => attempt(async () => {
+    const results = await get("/calibrations");
     fill(cards, KINDS.map(([kind, name, why]) => card(kind, name, why, results.filter((one) => one.kind === kind))));
     commands(page, cards);
-  };
-  const load = () => attempt(async () => {
-    results = await get("/calibrations");
-    draw();
   });
   const job = jobCard(page, ["calibration", "auto-exposure"], load);
   let camera = JSON.stringify(state.info?.camera);
   page.on("state", (info) => {
     if (!info || JSON.stringify(info.camera) === camera) return;
     camera = JSON.stringify(info.camera);
-    draw(); // whether they fit depends on the settings
+    load(); // whether they fit depends on the settings
   });
   element.append(h("div.panes.wide", cards, h("div.pane", controlNote(), job.element,
     h("p.note", "A reference fits as long as gain, pixel format and region are the same. One that does not blocks reflectance, never a raw scan."))));
@@ -41,19 +36,8 @@ function card(kind, name, why, results) {
     h("div.row", { style: { justifyContent: "space-between" } }, h("h2", name), command(`Take ${name.toLowerCase()}`, () => post("/calibrations", { kind }), { kind: "primary" })),
     last ? [
       h("p", h("b", last.id), `, ${ago(last.taken)}`, last.temperature_c === null ? "" : `, at ${number(last.temperature_c)} °C`, last.simulated ? ", SIMULATED" : ""),
-      verdict(last), older.length ? h("p.muted", `and ${older.length} older`) : null,
+      last.applies ? h("p.note", "Fits the settings of now.") : h("p.note.bad", `${last.why_not[0].toUpperCase()}${last.why_not.slice(1)}`), older.length ? h("p.muted", `and ${older.length} older`) : null,
     ] : h("p.note.warn", `None yet. ${why}`));
-}
-
-// What the processing would refuse, and what it would not but a person may.
-function verdict({ conditions, age_s: age }) {
-  const now = state.info.camera;
-  const reasons = [["gain_db", "gain", "dB"], ["pixel_format", "pixel format", ""]]
-    .filter(([key]) => conditions[key] !== null && conditions[key] !== undefined && conditions[key] !== now[key])
-    .map(([key, name, unit]) => `${name} was ${conditions[key]} ${unit}, and is ${now[key]} ${unit}`);
-  if (reasons.length) return h("p.note.bad", `Does not fit: ${reasons.join("; ")}.`);
-  if (age > STALE_S) return h("p.note.warn", "Fits the settings, but is from another day.");
-  return h("p.note", "Fits the settings of now.");
 }
 
 export default { title: "References", short: "Refs", open };

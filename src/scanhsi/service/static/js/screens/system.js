@@ -1,7 +1,7 @@
 // System: devices, what is simulated, versions, the log.
 
 import { get, put } from "../api.js";
-import { choice, fill, h } from "../dom.js";
+import { choice, h } from "../dom.js";
 import { ago } from "../format.js";
 import { attempt } from "../messages.js";
 import { state } from "../store.js";
@@ -42,7 +42,6 @@ function open(element, page) {
       h("p.muted", "Keys: 1 to 9 screens, Escape STOP, L light or dark, arrows jog."),
       h("a.btn", { href: "/api/v1/openapi.json", target: "_blank", rel: "noopener" }, "Description of the interface"))));
   commands(page, element);
-  fill(holder, state.info?.lease?.name ?? "nobody");
 }
 
 function device(role, info, abilities) {
