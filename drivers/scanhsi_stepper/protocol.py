@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 SEQ_MAX = 65_535
-POSITION_LIMIT = 1_000_000_000
 _LONGEST_LINE = 128  # the firmware's own limit is 72
 _CRC_LENGTH = 5  # "*" and four hex digits
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from scanhsi.devices.errors import ConfigError
+from scanhsi.instrument import InstrumentConfig
 
 _LINEAR_RAD: Final = math.pi / 8  # Eq. 13
 
@@ -45,6 +46,35 @@ class FieldPlan:
     defocus_mm: float
     depth_of_field_mm: float
     sharp: bool | None
+
+
+def plan_field_of(
+    config: InstrumentConfig,
+    height_mm: float,
+    *,
+    step: int | None = None,
+    f_number: float | None = None,
+    focal_mm: float | None = None,
+) -> FieldPlan:
+    """Plan the scan of a field with an instrument; see `plan_field`.
+
+    Raises:
+        ConfigError: Its file does not say how large a pixel is, or the field cannot be.
+    """
+    geometry = config.geometry
+    if geometry.sample_pitch_m is None or config.roi is None:
+        raise ConfigError(f"{config.name} does not say the size of a sample: geometry.sample_pitch, and roi.")
+    return plan_field(
+        height_mm,
+        distance_mm=1000 * geometry.distance_m,
+        sample_pitch_mm=1000 * geometry.sample_pitch_m,
+        samples=config.roi.samples,
+        step_rad=geometry.step_angle_rad,
+        normal_step=geometry.normal_step,
+        step=step,
+        f_number=f_number,
+        focal_mm=focal_mm,
+    )
 
 
 def plan_field(

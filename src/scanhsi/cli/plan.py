@@ -33,25 +33,10 @@ def plan(
 
     [bold]Example[/]: scanhsi plan sensors2019 --height 100 --focal 12 --f-number 4
     """
-    from scanhsi.characterise.planner import plan_field
-    from scanhsi.devices.errors import ConfigError
+    from scanhsi.characterise.planner import plan_field_of
     from scanhsi.instrument import load_instrument
 
-    config = load_instrument(instrument)
-    geometry = config.geometry
-    if geometry.sample_pitch_m is None or config.roi is None:
-        raise ConfigError(f"{config.name} does not say the size of a sample: geometry.sample_pitch, and roi.")
-    found = plan_field(
-        height,
-        distance_mm=1000 * geometry.distance_m,
-        sample_pitch_mm=1000 * geometry.sample_pitch_m,
-        samples=config.roi.samples,
-        step_rad=geometry.step_angle_rad,
-        normal_step=geometry.normal_step,
-        step=step,
-        f_number=f_number,
-        focal_mm=focal,
-    )
+    found = plan_field_of(load_instrument(instrument), height, step=step, f_number=f_number, focal_mm=focal)
     if json:
         write_json(asdict(found))
         return

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
+import io
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from PIL import Image
 
 from scanhsi.calibration.view import view
 from scanhsi.cube.reader import CubeSummary, cube_summary, open_cube
@@ -163,18 +163,7 @@ def _quantity(dataset: xr.Dataset) -> str:
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
-    """A PNG of (rows, columns, channels): grey and alpha, colour, or colour and alpha."""
-    rows, columns, channels = pixels.shape
-    colour_type = {2: 4, 3: 2, 4: 6}[channels]
-    filtered = np.zeros((rows, 1 + columns * channels), np.uint8)  # a filter byte 0 before each row
-    filtered[:, 1:] = pixels.reshape(rows, -1)
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, colour_type, 0, 0, 0)),
-        (b"IDAT", zlib.compress(filtered.tobytes(), 3)),
-        (b"IEND", b""),
-    )
-    body = b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
-        for kind, data in chunks
-    )
-    return b"\x89PNG\r\n\x1a\n" + body
+    """A PNG of (rows, columns, channels): grey and alpha, or colour and alpha."""
+    file = io.BytesIO()
+    Image.fromarray(pixels, {2: "LA", 4: "RGBA"}[pixels.shape[2]]).save(file, "PNG", compress_level=3)
+    return file.getvalue()

@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from scanhsi.characterise.planner import plan_field
-from scanhsi.devices import PixelFormat
-from scanhsi.devices.errors import ConfigError
 from scanhsi.engine import Course, ScanPlan
 from scanhsi.instrument import InstrumentConfig
 from scanhsi.instrument.timing import timing_of
@@ -86,33 +83,3 @@ def _field(config: InstrumentConfig, course: Course) -> dict[str, Any]:
         "defocus_mm": distance_mm * (1 / math.cos(edge) - 1) if edge < math.pi / 2 else math.inf,
         "linear": edge <= math.pi / 8,
     }
-
-
-def field_facts(
-    config: InstrumentConfig, height_mm: float, *, step: int | None, f_number: float | None, focal_mm: float | None
-) -> dict[str, Any]:
-    """Lines and steps for a field of view; see `scanhsi.characterise.planner`.
-
-    Raises:
-        ConfigError: The instrument does not know its pixels, or the field cannot be.
-    """
-    geometry = config.geometry
-    if geometry.sample_pitch_m is None or config.roi is None:
-        raise ConfigError(f"{config.name} does not say the size of a sample: geometry.sample_pitch, and roi.")
-    found = plan_field(
-        height_mm,
-        distance_mm=1000 * geometry.distance_m,
-        sample_pitch_mm=1000 * geometry.sample_pitch_m,
-        samples=config.roi.samples,
-        step_rad=geometry.step_angle_rad,
-        normal_step=geometry.normal_step,
-        step=step,
-        f_number=f_number,
-        focal_mm=focal_mm,
-    )
-    return plain(asdict(found))
-
-
-def known_formats(config: InstrumentConfig) -> tuple[PixelFormat, ...]:
-    """Pixel formats whose delays are known."""
-    return timing_of(config).formats

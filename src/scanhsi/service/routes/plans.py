@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Path
 
+from scanhsi.characterise.planner import plan_field_of
 from scanhsi.service import plans, recipes
 from scanhsi.service.folder import NAME
+from scanhsi.service.jobs import plain
 from scanhsi.service.models import FieldBody, FieldPlanModel, PlanBody, PlanFacts, Recipe, RecipeEntry
 from scanhsi.service.routes.common import IN_CONTROL, StationHere, problems
 from scanhsi.service.work import plan_for
@@ -27,10 +30,10 @@ async def check_plan(station: StationHere, body: PlanBody) -> PlanFacts:
 @router.post("/plan/field", tags=["plans"], responses=problems())
 async def plan_field(station: StationHere, body: FieldBody) -> FieldPlanModel:
     """Lines and steps for a field of view, with square pixels unless a step is given."""
-    found = plans.field_facts(
+    found = plan_field_of(
         station.imager.config, body.height_mm, step=body.step, f_number=body.f_number, focal_mm=body.focal_mm
     )
-    return FieldPlanModel(**found)
+    return FieldPlanModel(**plain(asdict(found)))
 
 
 @router.get("/recipes", tags=["plans"], response_model_exclude_unset=True, responses=problems())
