@@ -75,11 +75,11 @@ $(VENV)/bin/python: | system-env
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.runtime: pyproject.toml $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[web]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(VENV)/bin/python
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,docs]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev,docs,web]'
 	@touch $@ $(VENV)/.runtime
 
 # A peer that cannot be installed does not keep the others out: the table says so, and the next call tries again.
