@@ -1,11 +1,7 @@
-"""A real browser before a real service: headless Chromium, through Playwright."""
+"""A real browser: headless Chromium, through Playwright."""
 
 import os
-import re
 import shutil
-import signal
-import subprocess
-import sys
 import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -15,26 +11,6 @@ from typing import Any
 import pytest
 
 SIZES = {"touch": (800, 480), "desktop": (1440, 900)}
-
-
-@contextmanager
-def served(*arguments: str) -> Generator[str]:
-    """A ``scanhsi serve`` of its own; gives its address."""
-    command = [sys.executable, "-m", "scanhsi", "serve", *arguments, "--port", "0"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stderr is not None
-            told: list[str] = []
-            for line in process.stderr:
-                told.append(line)
-                if found := re.search(r"https?://[\w.:]+", line):
-                    break
-            else:
-                raise AssertionError("the service did not begin:\n" + "".join(told))
-            yield found.group()
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=30)
 
 
 @contextmanager
