@@ -6,6 +6,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from scanhsi.cube.reader import cube_summary
@@ -26,6 +27,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def service(data: Path) -> Generator[str]:
     with serving(data, *SMALL) as server:
+        with httpx.Client(base_url=f"{server.url}/api/v1") as http:  # homed, so that no scan asks for it first
+            lease = {"Scanhsi-Lease": http.post("/lease", json={"name": "home"}).json()["id"]}
+            assert http.post("/mirror/home", headers=lease).json()["homed"]
+            http.delete("/lease", headers=lease)
         yield server.url
 
 
