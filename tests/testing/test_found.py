@@ -21,6 +21,9 @@ FOUND = {
     '[{"kind":"metadata stale","nth":5}],"seed":610}}',
     "a motion without duration as an exposure ends: the simulated frame was smeared": '{"profile":"ideal","plan":{"mode":'
     '"stepped","lines":3,"step":7,"start":66,"exposure_s":0.05,"pixel_format":"Mono12Packed"}}',
+    "a pause that was over before a look-ahead scan saw it: it went on with the next line, and had not moved": '{"plan":{"mode":'
+    '"stepped","lines":8,"step":1,"start":0,"exposure_s":0.002,"pixel_format":"Mono12","look_ahead":0.01},"lines_per_shard":1,'
+    '"light":3.0,"faults":{"faults":[{"kind":"paused","nth":181,"for_s":0.0005}],"seed":413}}',
 }
 
 

@@ -59,17 +59,19 @@ async def look_ahead_and_expose(scan: Scan) -> None:
     last = scan.course.lines - 1
     for line in range(leg.first, last + 1):
         await _credit(scan, line)
+        moved_on = False
         if line < last:
-            await _expose_and_move_on(scan, line)
+            moved_on = await _expose_and_move_on(scan, line)
         else:
             await _expose(scan, line)
         leg.exposed.put_nowait(line)
-        if scan.control.halted:
+        if scan.control.halted or not moved_on:
             break
     leg.exposed.put_nowait(None)
 
 
-async def _expose_and_move_on(scan: Scan, line: int) -> None:
+async def _expose_and_move_on(scan: Scan, line: int) -> bool:
+    """False: it has not moved on, because of a stop or of a pause, which may be over by now."""
     foretold: asyncio.Future[int] = asyncio.get_running_loop().create_future()
     async with asyncio.TaskGroup() as both:
         moving = both.create_task(_move_ahead(scan, line + 1, foretold), name="move ahead")
@@ -81,6 +83,7 @@ async def _expose_and_move_on(scan: Scan, line: int) -> None:
     started_ns = moving.result()
     if started_ns is not None:
         scan.records.smeared[line] = started_ns < scan.records.stamps["exposure_end"][line]
+    return started_ns is not None
 
 
 async def _move_ahead(scan: Scan, line: int, foretold: asyncio.Future[int]) -> int | None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
 
 from scanhsi.clock import now_ns
 from scanhsi.devices import Frame, FrameEvent, FrameGap
@@ -10,6 +12,8 @@ from scanhsi.devices.errors import DeviceLost, FrameLost, ProtocolError
 from scanhsi.engine.deadlines import Part
 from scanhsi.engine.plan import OnFault
 from scanhsi.engine.scan import FLUSH, Scan
+
+Event = TypeVar("Event")
 
 SILENT_LINES = 2
 """So many lines in a row without their frame and without a word from the camera: it is gone."""
@@ -69,20 +73,44 @@ class _Events:
         return event
 
     async def _receive(self, line: int, exposure: int) -> FrameEvent | None:
-        limit_s = self._scan.deadlines.frame_s
         try:
-            async with asyncio.timeout(limit_s):
-                while (event := await anext(self._stream, None)) is not None:
-                    if past(event) > exposure:
-                        self._scan.watch.heard(Part.CAMERA, "frame", line)
-                        return event
+            event = await listen(lambda: self._behind(exposure), self._scan.deadlines.frame_s)
         except TimeoutError:
             return None
         except Exception as error:
             self._scan.watch.blame(Part.CAMERA, error)
             raise
-        device = self._scan.camera_info.name
-        raise ProtocolError("the frames ended before the last line.", device=device, line=line)
+        if event is None:
+            device = self._scan.camera_info.name
+            raise ProtocolError("the frames ended before the last line.", device=device, line=line)
+        self._scan.watch.heard(Part.CAMERA, "frame", line)
+        return event
+
+    async def _behind(self, exposure: int) -> FrameEvent | None:
+        """The next event that is not of an earlier exposure only."""
+        while (event := await anext(self._stream, None)) is not None and past(event) <= exposure:
+            pass
+        return event
+
+
+async def listen(hear: Callable[[], Awaitable[Event]], limit_s: float) -> Event:
+    """What ``hear`` gives within ``limit_s``.
+
+    A loop that was held up beyond that limit was deaf meanwhile, so the silence may be its own: it listens as long again as it
+    was late.
+
+    Raises:
+        TimeoutError: Nothing was heard.
+    """
+    loop = asyncio.get_running_loop()
+    due = loop.time() + limit_s
+    try:
+        async with asyncio.timeout_at(due):
+            return await hear()
+    except TimeoutError:
+        deaf_s = loop.time() - due
+    async with asyncio.timeout(deaf_s):
+        return await hear()
 
 
 def past(event: FrameEvent) -> int:

@@ -28,7 +28,7 @@ FLUSH = -1
 class Credits:
     """Which lines may be exposed: those that find a buffer in the camera and one in storage, whatever goes on behind.
 
-    Lines are unpacked in order and become safe in order, so two numbers are the whole state. One waiter: control.
+    Lines are unpacked in order and become safe in order, so two numbers are the whole state.
 
     Args:
         camera: Frame buffers of the camera: a line needs one from its trigger until it is unpacked.

@@ -9,6 +9,7 @@ frames and lost pulses must make up exactly the lines of the sweep, or the scan 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Awaitable, Callable
 
@@ -18,7 +19,7 @@ from scanhsi.devices.errors import DeviceTimeout, FrameLost, ProtocolError
 from scanhsi.engine.control import as_sweeping
 from scanhsi.engine.deadlines import Part
 from scanhsi.engine.plan import OnFault
-from scanhsi.engine.receive import hand_on, past, take
+from scanhsi.engine.receive import hand_on, listen, past, take
 from scanhsi.engine.scan import Scan
 
 LATE = 0.75
@@ -113,6 +114,7 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
     """Take the frames of a sweep until each line has one or is known to be lost."""
     stream = scan.camera.frames()
     line, end = scan.leg.first, scan.course.lines
+    behind_gap = False
     while line < end:
         event = await _next(scan, stream, sweep, line)
         if event is None:
@@ -121,19 +123,23 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
             break
         if isinstance(event, FrameGap):
             until = min(places.line_of_exposure(past(event)), end)
-            line = _lose(scan, range(line, until), event.reason)
+            line, behind_gap = _lose(scan, range(line, until), event.reason), True
             continue
         place = await places.line_of(event)
         if place < line:
             continue
+        behind_gap |= place > line
         line = _lose(scan, range(line, min(place, end)), "the camera was still busy when this line was due")
+        if behind_gap:
+            await _catch_up(scan, line, sweep)
+            behind_gap = False
         if place < end:
-            line = await _take_or_drop(scan, event, line, sweep)
+            line = await _take_or_drop(scan, event, line)
     if places.shifted:
         await _refuse_surplus(scan, stream)
 
 
-async def _take_or_drop(scan: Scan, frame: Frame, line: int, sweep: Sweep) -> int:
+async def _take_or_drop(scan: Scan, frame: Frame, line: int) -> int:
     if not scan.credits.may_store(line):
         return _lose(scan, range(line, line + 1), "no free line buffer: storage was too slow for this sweep")
     if line == scan.first and frame.exposure_start_ns is not None:
@@ -148,6 +154,13 @@ async def _take_or_drop(scan: Scan, frame: Frame, line: int, sweep: Sweep) -> in
     await take(scan, frame, line)
     hand_on(scan, line)
     return line + 1
+
+
+async def _catch_up(scan: Scan, line: int, sweep: Sweep) -> None:
+    """Lines of a gap come to storage all at once, with the frame behind it: give it until the next frame to take them."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(sweep.period_s):
+            await scan.credits.wait(line)
 
 
 def _lose(scan: Scan, lines: range, reason: str) -> int:
@@ -176,8 +189,7 @@ def _give_up(scan: Scan, sweep: Sweep, line: int) -> None:
 async def _next(scan: Scan, stream: FrameStream, sweep: Sweep, line: int) -> FrameEvent | None:
     """The next event; None when the camera is silent beyond its deadline, or disarmed because a stop was asked for."""
     try:
-        async with asyncio.timeout(_patience_s(scan, sweep, line)):
-            event = await anext(stream, None)
+        event = await listen(lambda: anext(stream, None), _patience_s(scan, sweep, line))
     except TimeoutError:
         return None
     except Exception as error:

@@ -346,14 +346,14 @@ def _dated(outcome: Outcome, cube: Snapshot) -> Iterator[str]:
 
 
 _STALLED: Final = {Kind.LOOP_STALLS}  # beyond a deadline all else has waited, too: nobody can tell who was late
-_NO_WORD: Final = {Kind.FRAME_LOST, Kind.FRAME_LATE, Kind.FRAMES_SWAPPED, Kind.CAMERA_SILENT} | _STALLED
+_NO_WORD: Final = {Kind.FRAME_LOST, Kind.FRAME_LATE, Kind.FRAMES_SWAPPED, Kind.CAMERA_SILENT}
 _REASONS: Final = {
     PACKETS_MISSING: {Kind.FRAME_INCOMPLETE},
     "did not arrive within": _NO_WORD,
     "lost without a word": _NO_WORD,
     "no frame came": _NO_WORD,
     "camera was still busy": _NO_WORD | {Kind.METADATA_STALE, Kind.MOVE_SLOW},
-    "no free": {Kind.WRITE_SLOW} | _NO_WORD,  # lines that are lost come to storage all at once, too
+    "no free": {Kind.WRITE_SLOW, Kind.FRAME_LATE, Kind.FRAMES_SWAPPED} | _STALLED,  # frames that come all at once
     "while the sensor was busy": _STALLED,
     "memory is full": _STALLED,
 }
