@@ -64,7 +64,7 @@ def test_saturated_pixels_of_the_tile_have_no_value() -> None:
         (stack(100.0), 0.99, "no light"),
         (stack(3000.0, lines=1), 0.99, "single line"),
         (stack(3000.0, saturated=15), 0.99, "75 % .* is saturated"),
-        (stack(3000.0, conditions=Conditions(0.04, 0.0, "Mono12")), 0.99, "exposure_s 0.02 instead of 0.04"),
+        (stack(3000.0, conditions=Conditions(0.04, 0.0, "Mono12")), 0.99, "exposure 20 ms instead of 40 ms"),
         (stack(3000.0), 2.0, "reflectance of 2"),
     ],
 )

@@ -85,7 +85,7 @@ def test_a_dark_model_of_another_gain_is_refused() -> None:
         async with scanhsi.open_instrument(load_instrument("sensors2019", {**SMALL, "scan.gain": "6 dB"})) as hsi:
             await hsi.calibrate.white(dark=dark, exposure_s=0.02, frames=3)
 
-    with pytest.raises(CalibrationError, match=r"dark model does not apply: gain_db 0.0 instead of 6.0"):
+    with pytest.raises(CalibrationError, match=r"dark model does not apply: gain 0 dB instead of 6 dB"):
         run_virtual(main())
 
 

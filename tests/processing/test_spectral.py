@@ -124,7 +124,7 @@ def test_what_does_not_fit_is_refused_with_the_reason(calibrated):
     with pytest.raises(CalibrationError, match="1088 bands, not 218x160"):
         Pipeline(RAW, [MaskSaturated(), BinBands(5), AssignWavelength(wavelength)])
     moved = replace(RAW, conditions=replace(RAW.conditions, roi={**ROI, "band_offset": 8}))
-    with pytest.raises(CalibrationError, match="roi"):
+    with pytest.raises(CalibrationError, match="region"):
         Pipeline(moved, [AssignWavelength(wavelength)])
     other = calibrate_with_lamp(noisy(lamp(), 3, 50), Provenance())
     assert Pipeline(RAW, [AssignWavelength(other)]).output.wavelength_map_nm is None

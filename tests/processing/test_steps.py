@@ -93,9 +93,9 @@ def test_a_line_alone_is_processed_as_within_its_shard():
 @pytest.mark.parametrize(
     ("steps", "why"),
     [
-        ([SubtractDark(reference(1, exposure_s=0.03))], "exposure_s 0.03 instead of 0.02"),
-        ([SubtractDark(reference(1, gain_db=0.0))], "gain_db 0.0 instead of 3.0"),
-        ([SubtractDark(reference(1, roi={"bands": BANDS, "samples": SAMPLES, "band_offset": 4}))], "roi"),
+        ([SubtractDark(reference(1, exposure_s=0.03))], "exposure 30 ms instead of 20 ms"),
+        ([SubtractDark(reference(1, gain_db=0.0))], "gain 0 dB instead of 3 dB"),
+        ([SubtractDark(reference(1, roi={"bands": BANDS, "samples": SAMPLES, "band_offset": 4}))], "region"),
         ([BinBands(2), SubtractDark(reference(1))], "11x7 bands and samples, not 6x7"),
         ([Reflectance(reference(2), reference(1, exposure_s=1.0))], "no dark reference for"),
         ([Reflectance(reference(2), reference(1), tile=99)], "tile"),

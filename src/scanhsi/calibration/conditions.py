@@ -9,6 +9,13 @@ from typing import Any, Final, Self, cast
 from scanhsi.devices import PixelFormat
 
 _ALL: Final = ("gain_db", "pixel_format", "roi", "binning")
+_NAMES: Final = {
+    "exposure_s": "exposure",
+    "gain_db": "gain",
+    "pixel_format": "pixel format",
+    "roi": "region",
+    "binning": "binning",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +71,26 @@ class Conditions:
         names = (*(_ALL if only is None else only), *(("exposure_s",) if exposure else ()))
         pairs = [(name, getattr(self, name), getattr(other, name)) for name in names]
         return [
-            f"{name} {there} instead of {here}"
+            f"{_NAMES[name]} {_in_words(name, there)} instead of {_in_words(name, here)}"
             for name, here, there in pairs
             if here is not None and there is not None and _same(name, here) != _same(name, there)
         ]
+
+
+def _in_words(name: str, value: Any) -> str:
+    """A value as people write it."""
+    match name:
+        case "exposure_s":
+            return f"{value * 1e3:g} ms"
+        case "gain_db":
+            return f"{value:g} dB"
+        case "roi":
+            size = f"{value['samples']} samples x {value['bands']} bands"
+            return f"{size} from ({value.get('sample_offset', 0)}, {value.get('band_offset', 0)})"
+        case "binning":
+            return f"{value['bands']} bands x {value['samples']} samples"
+        case _:
+            return str(value)
 
 
 def _same(name: str, value: Any) -> Any:
