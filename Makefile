@@ -21,7 +21,7 @@ ZARRITA := tests/interop/node_modules/.package-lock.json
 PACKAGES_env := python3-venv
 PACKAGES_twin := python3-gi gir1.2-aravis-0.8 gcc libc6-dev libsimavr-dev libelf-dev
 PACKAGES_browser := chromium-headless-shell fonts-dejavu-core
-PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git octave gdal-bin fuse3
+PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git openssl octave gdal-bin fuse3
 
 .PHONY: env twin scan test lint docs soak bench bench-peers bench-storage clean help
 help:  ## List the targets

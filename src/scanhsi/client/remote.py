@@ -42,6 +42,7 @@ async def connect_instrument(
     token: str | None = None,
     name: str | None = None,
     download: bool = True,
+    certificate: str | Path | None = None,
     transport: httpx.AsyncBaseTransport | None = None,
 ) -> AsyncGenerator[AsyncClient]:
     """Connect to a service; control is taken with the first command, and given up on leaving.
@@ -51,14 +52,16 @@ async def connect_instrument(
         token: Its token, where it has one. Not in the URL.
         name: How others see who is in control; user and computer by default.
         download: Bring the cube of a scan to its path. Otherwise it stays at the instrument, under its name.
+        certificate: The service's own TLS certificate, PEM, where no authority has signed it that this computer knows.
         transport: For tests: instead of the network.
 
     Raises:
         DeviceNotFound: Nothing answers there.
+        ConfigError: The certificate cannot be read.
         ScanhsiError: The token is missing or wrong.
     """
     name = name or f"{getpass.getuser()} on {socket.gethostname()}"
-    async with connected(url, token, name[:80], transport) as opened:
+    async with connected(url, token, name[:80], certificate, transport) as opened:
         capabilities = await opened.get("/capabilities")
         state = await opened.get("/state")
         config = InstrumentConfig.model_validate(capabilities["config"])
@@ -198,11 +201,11 @@ class AsyncClient:
 
     def events(self) -> AsyncGenerator[sockets.Happened]:
         """What happens, from now on."""
-        return sockets.events(self._url, self._token)
+        return sockets.events(self._url, self._token, self._transport.tls)
 
     def preview(self, fps: float = 15.0) -> AsyncGenerator[sockets.SeenFrame]:
         """What is seen, the latest only."""
-        return sockets.preview(self._url, self._token, fps)
+        return sockets.preview(self._url, self._token, fps, self._transport.tls)
 
     @property
     def _url(self) -> str:

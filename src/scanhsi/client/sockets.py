@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from dataclasses import dataclass
@@ -46,17 +47,19 @@ class SeenFrame:
     pixels: NDArray[np.uint8]
 
 
-async def events(url: str, token: str | None) -> AsyncGenerator[Happened]:
+async def events(url: str, token: str | None, tls: ssl.SSLContext | None = None) -> AsyncGenerator[Happened]:
     """What happens, from now on. Close it (`contextlib.aclosing`) to close the connection at once."""
-    async with aclosing(_messages(f"{url}/events", token)) as messages:
+    async with aclosing(_messages(f"{url}/events", token, tls)) as messages:
         async for message in messages:
             told: dict[str, Any] = json.loads(message)
             yield Happened(told["type"], told["data"], told["dropped"])
 
 
-async def preview(url: str, token: str | None, fps: float) -> AsyncGenerator[SeenFrame]:
+async def preview(
+    url: str, token: str | None, fps: float, tls: ssl.SSLContext | None = None
+) -> AsyncGenerator[SeenFrame]:
     """What is seen, the latest only. Close it as `events`."""
-    async with aclosing(_messages(f"{url}/preview?fps={fps:g}", token)) as messages:
+    async with aclosing(_messages(f"{url}/preview?fps={fps:g}", token, tls)) as messages:
         async for message in messages:
             assert isinstance(message, bytes), "pictures are binary"
             length = int.from_bytes(message[:4], "little")
@@ -65,11 +68,13 @@ async def preview(url: str, token: str | None, fps: float) -> AsyncGenerator[See
             yield SeenFrame(facts["kind"], facts, pixels)
 
 
-async def _messages(url: str, token: str | None) -> AsyncGenerator[str | bytes]:
+async def _messages(url: str, token: str | None, tls: ssl.SSLContext | None) -> AsyncGenerator[str | bytes]:
     address = url.replace("http", "ws", 1)
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     try:
-        async with connect(address, additional_headers=headers, max_size=64_000_000, compression=None) as socket:
+        async with connect(
+            address, ssl=tls, additional_headers=headers, max_size=64_000_000, compression=None
+        ) as socket:
             async for message in socket:
                 yield message
     except (OSError, ConnectionClosed) as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import ssl
 from collections.abc import AsyncGenerator
 from pathlib import Path
 from typing import Any, Final, cast
@@ -13,7 +14,7 @@ from uuid import uuid4
 import httpx
 
 from scanhsi.client.errors import error_of
-from scanhsi.devices.errors import DeviceBusy, DeviceLost, DeviceNotFound, ProtocolError
+from scanhsi.devices.errors import ConfigError, DeviceBusy, DeviceLost, DeviceNotFound, ProtocolError
 
 _TRIES: Final = 3
 _TTL_S: Final = 60.0
@@ -24,11 +25,13 @@ class Transport:
 
     Args:
         http: With the base URL ``.../api/v1`` and the token.
+        tls: Whom it trusts, for other connections to the same service.
         name: Under which control is taken.
     """
 
-    def __init__(self, http: httpx.AsyncClient, name: str) -> None:
+    def __init__(self, http: httpx.AsyncClient, tls: ssl.SSLContext | None, name: str) -> None:
         self.http = http
+        self.tls = tls
         self._name = name
         self._lease: str | None = None
         self._taking = asyncio.Lock()
@@ -115,9 +118,15 @@ class Transport:
 
     def _gone(self, error: httpx.TransportError) -> DeviceLost | DeviceNotFound:
         where = str(self.http.base_url)
+        if "CERTIFICATE_VERIFY_FAILED" in str(error):
+            return DeviceNotFound(
+                f"its TLS certificate is not trusted: {error}.",
+                device=where,
+                hint="its certificate file: connect_instrument(..., certificate='cert.pem')",
+            )
         if isinstance(error, httpx.ConnectError):
             return DeviceNotFound("nothing answers.", device=where, hint="scanhsi serve, at the instrument")
-        return DeviceLost(f"the connection broke: {error or type(error).__name__}.", device=where)
+        return DeviceLost(f"the connection broke: {str(error).rstrip('.') or type(error).__name__}.", device=where)
 
 
 def _refusal(answer: httpx.Response) -> Exception:
@@ -132,15 +141,32 @@ def _refusal(answer: httpx.Response) -> Exception:
 
 @contextlib.asynccontextmanager
 async def connected(
-    url: str, token: str | None, name: str, transport: httpx.AsyncBaseTransport | None
+    url: str, token: str | None, name: str, certificate: str | Path | None, transport: httpx.AsyncBaseTransport | None
 ) -> AsyncGenerator[Transport]:
-    """A transport, closed on leaving."""
+    """A transport, closed on leaving.
+
+    Raises:
+        ConfigError: The certificate cannot be read.
+    """
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     base = f"{url.rstrip('/')}/api/v1"
     timeout = httpx.Timeout(60.0, connect=10.0)
-    async with httpx.AsyncClient(base_url=base, headers=headers, timeout=timeout, transport=transport) as http:
-        opened = Transport(http, name)
+    tls = _trusting(certificate)
+    verify = True if tls is None else tls
+    async with httpx.AsyncClient(
+        base_url=base, headers=headers, timeout=timeout, transport=transport, verify=verify
+    ) as http:
+        opened = Transport(http, tls, name)
         try:
             yield opened
         finally:
             await opened.close()
+
+
+def _trusting(certificate: str | Path | None) -> ssl.SSLContext | None:
+    if certificate is None:
+        return None
+    try:
+        return ssl.create_default_context(cafile=certificate)
+    except OSError as error:  # SSLError is one
+        raise ConfigError(f"the certificate {certificate} cannot be read: {error.strerror or error}.") from error

@@ -8,6 +8,7 @@ import ctypes
 import logging
 import signal
 import socket
+import ssl
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -68,9 +69,10 @@ async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, tol
         told: Called with the address once it listens.
 
     Raises:
-        ConfigError: The address cannot be listened on.
+        ConfigError: The address cannot be listened on, the certificate cannot be used.
         DeviceError: A device cannot be connected.
     """
+    _check_certificate(serving)
     _give_frames_back()
     listening = _listen(serving)
     scheme = "http" if serving.certificate is None else "https"
@@ -97,6 +99,21 @@ async def serve(config: InstrumentConfig, folder: Path, serving: Serving, *, tol
         with _ended_by_signals(server, station), _log_told(station):
             told(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}")
             await server.serve(sockets=[listening])
+
+
+def _check_certificate(serving: Serving) -> None:
+    """Before anything is opened."""
+    if serving.certificate is None:
+        return
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(serving.certificate, serving.key)
+    except OSError as error:  # SSLError is one
+        raise ConfigError(
+            f"the certificate {serving.certificate} with the key {serving.key} cannot be used: {error.strerror or error}.",
+            hint="both as PEM, the key without a password: "
+            "openssl req -x509 -newkey rsa:2048 -nodes -days 365 -subj /CN=$(hostname) "
+            "-addext subjectAltName=DNS:$(hostname) -keyout key.pem -out cert.pem",
+        ) from error
 
 
 def _give_frames_back() -> None:
