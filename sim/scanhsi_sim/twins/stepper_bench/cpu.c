@@ -21,8 +21,13 @@
 #define USART_FIFO 3 /* two bytes of buffer and one in the shift register */
 #define OCR1AL 0x88
 #define OCR1AH 0x89
+#define OCR1BL 0x8A
+#define OCR1BH 0x8B
+#define TCCR1B 0x81
+#define WGM12 3
 #define TIMSK1 0x6F
 #define OCIE1A 1
+#define OCIE1B 2
 
 /* Where the signals are: on our own firmware's board, and on a GRBL shield (X axis). */
 struct pin {
@@ -67,11 +72,30 @@ static unsigned bit_cycles(void)
 /* simavr counts 8N1 as 11 bits; and it computes this only on a write of UBRR0L. Set it right, again and again. */
 static void correct_baud(void) { uart->cycles_per_byte = bit_cycles() * 10; }
 
-/* A compare value of 0 never matches in simavr. GRBL begins each motion with one. */
-static void start_timer1(void)
+/* The two compare units of timer 1 that firmware uses. */
+static const struct compare {
+    int unit, low, high, enable;
+} compares[] = { { AVR_TIMER_COMPA, OCR1AL, OCR1AH, OCIE1A }, { AVR_TIMER_COMPB, OCR1BL, OCR1BH, OCIE1B } };
+
+static avr_cycle_count_t match_zero(avr_t *core, avr_cycle_count_t when, void *param)
 {
-    if (avr->data[TIMSK1] & (1 << OCIE1A) && !avr->data[OCR1AL] && !avr->data[OCR1AH])
-        avr_raise_interrupt(avr, &timer1->comp[AVR_TIMER_COMPA].interrupt);
+    const struct compare *compare = param;
+    (void)when;
+    if (core->data[TIMSK1] & (1 << compare->enable) && !core->data[compare->low] && !core->data[compare->high])
+        avr_raise_interrupt(core, &timer1->comp[compare->unit].interrupt);
+    return 0;
+}
+
+/* A compare value of 0 never matches in simavr. GRBL begins each motion with one, in a mode that counts no further: it matches
+ * at once. A counter that runs freely, our own firmware's, matches as it overflows. */
+static void mend_timer1(void)
+{
+    uint64_t overflow = timer1->tov_base + timer1->tov_cycles;
+    for (int i = 0; i < 2; i++)
+        if (avr->data[TCCR1B] & (1 << WGM12))
+            match_zero(avr, avr->cycle, (void *)&compares[i]);
+        else if (overflow > avr->cycle && overflow - avr->cycle <= TICK_CYCLES)
+            avr_cycle_timer_register(avr, overflow - avr->cycle, match_zero, (void *)&compares[i]);
 }
 
 static avr_cycle_count_t tick(avr_t *core, avr_cycle_count_t when, void *param)
@@ -79,7 +103,7 @@ static avr_cycle_count_t tick(avr_t *core, avr_cycle_count_t when, void *param)
     (void)core;
     (void)param;
     correct_baud();
-    start_timer1();
+    mend_timer1();
     return when + TICK_CYCLES;
 }
 
