@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import platform
 from collections.abc import AsyncGenerator, Callable, Generator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, nullcontext
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
@@ -18,7 +18,6 @@ from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from scanhsi import clock
 from scanhsi.calibration.online import online_quicklook
-from scanhsi.characterise.calibrator import Calibrator
 from scanhsi.clock import Granted, RealTime
 from scanhsi.cube import Binning, CubeSpec, CubeWriter, DiscardSink, LineSink
 from scanhsi.cube.destination import Destination
@@ -32,7 +31,10 @@ from scanhsi.engine.resume import Begun, begun
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
 from scanhsi.instrument.timing import storing_of
-from scanhsi.processing.live import LiveProcessing, beside
+
+if TYPE_CHECKING:
+    from scanhsi.characterise.calibrator import Calibrator
+    from scanhsi.processing.live import LiveProcessing
 
 _NO_OPTIONS = RealTime()
 _LIVE_LINES = 4096
@@ -121,6 +123,8 @@ class Imager:
     @property
     def calibrate(self) -> Calibrator:
         """Protocols that characterise the instrument: ``await hsi.calibrate.dark("dark.nc")``."""
+        from scanhsi.characterise.calibrator import Calibrator  # brings all protocols and half of scipy
+
         return Calibrator(self)
 
     def default_plan(self, **overrides: Any) -> ScanPlan:
@@ -192,7 +196,7 @@ class Imager:
                     spec = replace(spec, attributes={**spec.attributes, "sensor_temperature_c": warmth})
                 sink = DiscardSink() if place is None or spec is None else self._writer(place, spec)
                 sink = self._slowed(sink, plan)
-                async with beside(process, spec, output) as processing:
+                async with nullcontext() if process is None else process.beside(spec, output) as processing:
                     report = await run_scan(
                         course,
                         self.camera,

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from scanhsi.calibration.result import Provenance, Stored
 from scanhsi.devices.errors import CalibrationError
@@ -258,13 +258,13 @@ class _NoiseLaw:
         degrees = group.count - 1
         law = self.read + self.shot * exposure_s * self.rate
         own = group.squares / degrees
-        return np.where(own * degrees > float(stats.chi2.isf(_NOISIER, degrees)) * law, own, law)
+        return np.where(own * degrees > float(special.chdtri(degrees, _NOISIER)) * law, own, law)
 
 
 def _unlikely(chi_square: Floats, degrees: int, sigma: float) -> NDArray[np.bool_]:
     if degrees < 1:
         return np.zeros(chi_square.shape, bool)
-    return chi_square > stats.chi2.isf(stats.norm.sf(sigma), degrees)
+    return chi_square > special.chdtri(degrees, special.ndtr(-sigma))
 
 
 def _stands_out(values: Floats, sigma: float) -> NDArray[np.bool_]:
@@ -277,7 +277,7 @@ def _stands_out(values: Floats, sigma: float) -> NDArray[np.bool_]:
     """
     low, median, high = np.quantile(values, (1 - _SHOULDER, 0.5, _SHOULDER)).tolist()
     above, below = high - median, median - low
-    steps = sigma / float(stats.norm.ppf(_SHOULDER))
+    steps = sigma / float(special.ndtri(_SHOULDER))
     skew = min(above / below, _MOST_SKEW) if below > 0 else 1.0
     limit = steps * above if skew < 1.001 else above * (skew**steps - 1) / (skew - 1)
     return values > median + max(limit, 0.0)

@@ -13,7 +13,7 @@ from typing import Final, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy import special
 
 from scanhsi.devices.errors import CalibrationError
 
@@ -104,7 +104,7 @@ def fit_dispersion(
         coefficients=to_band @ best,
         covariance=to_band @ (covariance * scatter) @ to_band.T,
         residual_nm=math.sqrt(float(np.sum(unweighted**2)) / freedom) if freedom else math.nan,
-        p_value=float(stats.chi2.sf(chi_square, freedom)) if tested else math.nan,
+        p_value=float(special.chdtrc(freedom, chi_square)) if tested else math.nan,
     )
 
 
@@ -142,7 +142,7 @@ def fit_dispersion_robustly(
         )  # a pair that is not in the fit scatters, and so does the fit
         off = np.where(good, np.inf, np.abs(known - fit.nm(places)) / np.maximum(spread, _EXACT_NM))
         nearest = int(np.argmin(off))
-        if off[nearest] > stats.t.isf(_CHANCE / 2, int(good.sum()) - degree - 1):
+        if off[nearest] > -special.stdtrit(int(good.sum()) - degree - 1, _CHANCE / 2):
             break
         good[nearest] = True
     return fit_dispersion(places[good], known[good], degree=degree), good

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from scanhsi.calibration.result import Provenance, Stored
 from scanhsi.devices.errors import CalibrationError
@@ -118,7 +118,7 @@ def _moments(values: Floats) -> Moments:
 def _ratios(moments: Moments) -> tuple[Floats, Floats, Floats]:
     # Few lines tell a variance as a chi-square does, whose median lies below its mean: 0.16 dB with 20 lines.
     degrees = moments.lines - 1
-    mean, sigma = moments.mean, moments.sigma * math.sqrt(degrees / float(cast("Any", stats.chi2.median(degrees))))
+    mean, sigma = moments.mean, moments.sigma * math.sqrt(degrees / float(special.chdtri(degrees, 0.5)))
     with np.errstate(divide="ignore", invalid="ignore"):
         temporal = 20 * np.log10(mean / sigma)
         paper = 10 * np.log10(mean / sigma**2)

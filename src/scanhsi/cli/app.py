@@ -175,14 +175,12 @@ def main() -> None:
         code = run(sys.argv[1:])
     except KeyboardInterrupt:  # while the end was told
         code = ExitCode.INTERRUPTED
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # all is done: the exit code says how it ended, not that Python was leaving
+    # all is done: the exit code says how it ended, not that Python was leaving
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):  # nobody reads it any more
         sys.stdout.flush()
-    last_resort = threading.Timer(
-        EXIT_S, os._exit, (code,)
-    )  # a thread that waits for a dead disk would keep the process
+    # a thread that waits for a dead disk would keep the process
+    last_resort = threading.Timer(EXIT_S, os._exit, (code,))
     last_resort.daemon = True
     last_resort.start()
     sys.exit(code)

@@ -245,7 +245,6 @@ async def _scan(
     *,
     resume: bool,
 ) -> ScanReport:
-    from scanhsi.characterise.protocols.base import attributes_to_be
     from scanhsi.cli.interrupt import interrupts
     from scanhsi.cli.progress import shown
     from scanhsi.devices.errors import ScanFailed
@@ -260,6 +259,8 @@ async def _scan(
     with interrupts(tell) as interrupt:
         async with open_instrument(config) as imager:
             if check is not None:
+                from scanhsi.characterise.protocols.base import attributes_to_be
+
                 check(await attributes_to_be(imager, plan))
             with shown(console) as show:
                 interrupt.scanning = True

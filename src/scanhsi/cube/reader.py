@@ -1,24 +1,29 @@
-"""Reads cubes: finished, interrupted, or still being written; from a folder or an object store."""
+"""Reads cubes: finished, interrupted, or still being written; from a folder or an object store.
+
+xarray, and pandas with it, is imported where a dataset is made: a scan needs neither, and begins the sooner.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 import numpy as np
-import xarray as xr
 import zarr
 from numpy.typing import NDArray
-from xarray.core import indexing
 from zarr.core.metadata import ArrayV3Metadata
 
 from scanhsi.cube.layout import FORMAT, STATUS
 from scanhsi.cube.location import Location, locate, remote_errors
 from scanhsi.cube.records import STAGES, Incident, LineRecords, LineStatus
-from scanhsi.cube.stored import StoredArray
 from scanhsi.devices.errors import CubeError, NotACube
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from scanhsi.cube.stored import StoredArray
 
 Chunks = Literal["auto"] | Mapping[str, int] | None
 """How dask cuts the cube: in whole shards, as told, or not at all."""
@@ -175,6 +180,8 @@ class _Opened:
         return self.arrays[name]
 
     def stored(self, name: str) -> StoredArray:
+        from scanhsi.cube.stored import StoredArray
+
         return StoredArray(self.location, name, cast("ArrayV3Metadata", self.array(name).metadata))
 
     def read(self, name: str) -> NDArray[Any]:
@@ -235,6 +242,8 @@ def _reached(status: NDArray[np.uint8], *, finished: bool) -> NDArray[np.uint8]:
 
 def _dataset(opened: _Opened) -> xr.Dataset:
     """Every array with named dimensions, cut to the lines reached, decoded by its attributes."""
+    import xarray as xr
+
     variables = {name: _variable(opened, name, array) for name, array in opened.arrays.items() if _dimensions(array)}
     dataset = xr.decode_cf(xr.Dataset(variables, attrs=opened.attributes))
     dataset = dataset.set_coords([name for name in ("x", "y", "wavelength_map") if name in dataset])
@@ -251,6 +260,9 @@ def _dimensions(array: zarr.Array[Any]) -> tuple[str, ...]:
 
 
 def _variable(opened: _Opened, name: str, array: zarr.Array[Any]) -> xr.Variable:
+    import xarray as xr
+    from xarray.core import indexing
+
     dimensions = _dimensions(array)
     data: Any = opened.status if name == STATUS.name else indexing.LazilyIndexedArray(opened.stored(name))
     encoding = {"chunks": array.chunks, "shards": array.shards}

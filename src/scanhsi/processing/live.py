@@ -71,6 +71,21 @@ class LiveProcessing:
                 f"{self.output} exists already; nothing moved.", hint="another name, or move it away first"
             )
 
+    @asynccontextmanager
+    async def beside(self, spec: CubeSpec | None, cube: str | Path | None) -> AsyncGenerator[Following]:
+        """The process beside a scan, which ends with it.
+
+        Raises:
+            CalibrationError, CubeExists, ConfigError: As `check`.
+        """
+        await run_blocking(0.0, self.check, spec, cube)
+        assert cube is not None, "checked"
+        following = await Following.start(self, cube)
+        try:
+            yield following
+        finally:
+            following.abandon()
+
 
 class Following:
     """The process that follows a scan."""
@@ -139,24 +154,3 @@ class Following:
                 with suppress(BrokenPipeError):
                     stream.close()
         self._job.unlink(missing_ok=True)
-
-
-@asynccontextmanager
-async def beside(
-    live: LiveProcessing | None, spec: CubeSpec | None, cube: str | Path | None
-) -> AsyncGenerator[Following | None]:
-    """The process beside a scan, which ends with it; None where nothing is asked for.
-
-    Raises:
-        CalibrationError, CubeExists, ConfigError: As `LiveProcessing.check`.
-    """
-    if live is None:
-        yield None
-        return
-    await run_blocking(0.0, live.check, spec, cube)
-    assert cube is not None, "checked"
-    following = await Following.start(live, cube)
-    try:
-        yield following
-    finally:
-        following.abandon()

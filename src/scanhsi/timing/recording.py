@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from scanhsi.devices.errors import ConfigError
 from scanhsi.timing.delays import DelayProfile, Dependence, RecordedScan, Stream, StreamModel
@@ -176,6 +175,8 @@ def dependence(scans_ns: Sequence[Ns]) -> Dependence:
 
 
 def _ranks(delays_ns: Ns) -> NDArray[np.float64]:
+    from scipy import stats  # which takes half a second to import, and is needed here alone
+
     ranks: NDArray[np.float64] = stats.rankdata(delays_ns)
     return ranks
 
