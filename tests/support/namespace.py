@@ -1,8 +1,9 @@
 """pytest plugin: tests marked `twin` run in a private network namespace, in a child pytest.
 
 Mark a test (or a module: ``pytestmark = pytest.mark.twin``) and write it as any other: use Aravis in the test's own
-process, fixtures and parameters included. The first marked test starts one child pytest inside the namespace for all
-marked tests of this run; each test's own report comes back and is shown as if it had run here.
+process, fixtures and parameters included. The first marked test of a file starts a child pytest inside a namespace for all
+marked tests of that file; each test's own report comes back and is shown as if it had run here. So files may also be shared out
+among processes (``-n 2 --dist loadfile``): no two see the same network.
 
 To debug one with --pdb or prints, start pytest itself inside: ``python -m scanhsi_sim.twins.netns python -m pytest ...``.
 What is missing (Aravis, permission) skips the tests; where the variable CI is set it fails them.
@@ -16,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import IO, Any
 
 import pytest
@@ -29,7 +31,8 @@ _FD = "SCANHSI_TEST_REPORTS_FD"  # set in the child: where it writes its reports
 class _Child:
     """The pytest inside the namespace, and the stream of its reports."""
 
-    def __init__(self, config: pytest.Config, nodes: list[str]) -> None:
+    def __init__(self, config: pytest.Config, file: Path, nodes: list[str]) -> None:
+        self.file = file
         read_end, write_end = os.pipe()
         self.output: IO[str] = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed with the session)
         self.process = subprocess.Popen(
@@ -54,6 +57,7 @@ class _Child:
         )
         os.close(write_end)
         self._reports = os.fdopen(read_end)
+        self._unfinished = set(nodes)
 
     def reports(self, node: str) -> Iterator[dict[str, Any]]:
         """The serialized reports of one test, as they come; ends early when the child does."""
@@ -65,6 +69,7 @@ class _Child:
                 data["longrepr"] = tuple(data["longrepr"])
             yield data
             if data["when"] == "teardown":
+                self._unfinished.discard(node)
                 return
 
     def last_words(self) -> str:
@@ -74,8 +79,11 @@ class _Child:
         return f"the pytest in the private network ended with code {code}:\n{self.output.read()[-4000:]}"
 
     def close(self) -> None:
-        """End the child, and free what it held."""
-        self.process.terminate()
+        """End the child, unless it has ended by itself, and free what it held."""
+        try:
+            self.process.wait(timeout=0 if self._unfinished else 30)
+        except subprocess.TimeoutExpired:
+            self.process.terminate()
         self.process.wait(timeout=10)
         self._reports.close()
         self.output.close()
@@ -113,14 +121,18 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 def _reports_from_child(item: pytest.Item) -> Iterator[pytest.TestReport]:
     config = item.config
-    if _child not in config.stash:
-        config.stash[_child] = _Child(config, [i.nodeid for i in item.session.items if _runs_elsewhere(i)])
+    child = config.stash.get(_child, None)
+    if child is None or child.file != item.path:
+        if child is not None:
+            child.close()
+        nodes = [i.nodeid for i in item.session.items if i.path == item.path and _runs_elsewhere(i)]
+        config.stash[_child] = child = _Child(config, item.path, nodes)
     finished = False
-    for data in config.stash[_child].reports(item.nodeid):
+    for data in child.reports(item.nodeid):
         yield config.hook.pytest_report_from_serializable(config=config, data=data)
         finished = data["when"] == "teardown"
     if not finished:
-        text = config.stash[_child].last_words()
+        text = child.last_words()
         location = (str(item.path), 0, text)
         outcome, why = ("failed", text) if "CI" in os.environ or "code 77" not in text else ("skipped", location)
         yield pytest.TestReport(item.nodeid, item.location, {}, outcome, why, "setup")

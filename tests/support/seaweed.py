@@ -159,7 +159,9 @@ def _wait(server: S3, process: subprocess.Popen[bytes], log: Path) -> None:
 def _free_ports(count: int) -> list[int]:
     """Ports free now, with the ones 10000 above them, where SeaweedFS puts its own protocol."""
     ports: list[int] = []
-    for port in range(18_000 + os.getpid() % 20_000, 55_535):
+    for port in range(
+        18_000 + 16 * os.getpid() % 20_000, 55_535
+    ):  # far from those of a test process started with this one
         with socket.socket() as first, socket.socket() as second:
             try:
                 first.bind(("127.0.0.1", port))
