@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 import zarr
+from pydantic_core import to_json
 from zarr.abc.buffer import Buffer
 from zarr.storage import MemoryStore
 
@@ -168,4 +169,4 @@ def decoded(root: bytes) -> Documents:
 
 
 def _encode(document: Mapping[str, Any]) -> bytes:
-    return json.dumps(document, indent=2).encode()
+    return to_json(document, indent=2, inf_nan_mode="constants")  # ten times as fast as json, which indents in Python

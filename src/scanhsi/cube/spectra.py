@@ -153,17 +153,30 @@ def random_spectra(dataset: xr.Dataset, count: int = 100, *, seed: int = 0) -> S
     pixels = len(lines) * samples
     drawn = np.random.default_rng(seed).choice(pixels, min(pixels, _TRIES * count), replace=False)
     found: list[tuple[Floats, int, int]] = []
-    for pixel in drawn.tolist():
-        if len(found) == count:
-            break
-        line, sample = int(lines[pixel // samples]), pixel % samples
-        values = np.asarray(dataset["cube"].isel(line=line, sample=sample).values, np.float64)
-        if np.isfinite(values).any():
-            found.append((values, line, sample))
+    while drawn.size and len(found) < count:
+        some, drawn = np.split(drawn, [count - len(found)])
+        places = lines[some // samples], some % samples
+        spectra = _spectra(dataset["cube"], *places)
+        good = np.isfinite(spectra).any(axis=1)
+        found += zip(spectra[good], places[0][good].tolist(), places[1][good].tolist(), strict=True)
     if not found:
         raise CubeError("the cube holds no pixel that is a number.")
     values, at_lines, at_samples = zip(*sorted(found, key=lambda one: one[1:]), strict=True)
     return Spectra(np.stack(values), np.array(at_lines, np.intp), np.array(at_samples, np.intp))
+
+
+def _spectra(cube: xr.DataArray, lines: NDArray[np.intp], samples: NDArray[np.intp]) -> Floats:
+    """Of pixels anywhere, (pixel, band); what lies in the same chunks is read together, for each of them costs a request."""
+    spectra = np.empty((len(lines), cube.sizes["band"]))
+    height = (cube.encoding.get("shards") or cube.encoding.get("chunks") or cube.shape)[1]
+    width = (cube.encoding.get("chunks") or cube.shape)[2]
+    chunk = (lines // height) * (cube.sizes["sample"] // width + 1) + samples // width
+    for one in np.unique(chunk):
+        here = np.flatnonzero(chunk == one)
+        rows, row = np.unique(lines[here], return_inverse=True)
+        columns, column = np.unique(samples[here], return_inverse=True)
+        spectra[here] = cube.isel(line=rows, sample=columns).values[:, row, column].T
+    return spectra
 
 
 def bands_near(wavelength_nm: Floats, nm: float, width_nm: float = CHANNEL_NM) -> slice:
