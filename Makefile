@@ -15,6 +15,8 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 STORAGE := .venv-storage
 OUT := out
+# Files go to processes in the order given: those that take longest come first.
+SHARED_OUT := --dist loadfile --no-loadscope-reorder
 ZARRITA := tests/interop/node_modules/.package-lock.json
 
 # What each target needs of the system, as Debian packages.
@@ -37,8 +39,8 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
 test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
-	$(BIN)/python -m pytest -m "not soak and not twin" -n 2 --dist loadfile
-	$(BIN)/python -m pytest -m "twin and not soak"
+	$(BIN)/python -m pytest -m "not soak and not twin" -n 3 $(SHARED_OUT) tests/test_documentation.py tests/service tests/testing tests
+	$(BIN)/python -m pytest -m "twin and not soak" -n 2 $(SHARED_OUT) tests/twins tests
 
 lint: $(VENV)/.dev $(VENV)/.gi  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .

@@ -51,8 +51,9 @@ def load_instrument(source: str | Path, overrides: Mapping[str, object] | None =
     except ValidationError as error:
         problems = problems_of(error, InstrumentConfig)
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        changed = f" with {', '.join(overrides)} set otherwise" if overrides else ""
         raise ConfigError(
-            f"instrument file {place} has {count}:",
+            f"instrument file {place}{changed} has {count}:",
             problems,
             hint="`scanhsi schema` describes every key, `scanhsi schema --template` is a commented file.",
         ) from error

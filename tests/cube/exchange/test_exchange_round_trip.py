@@ -89,6 +89,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 
 
+@pytest.mark.soak
 @pytest.mark.timeout(110)
 def test_memory_does_not_grow_with_the_cube(tmp_path: Path) -> None:
     """100 MB more of cube may cost no more than noise; holding it would cost all of them."""
