@@ -45,6 +45,8 @@ class _Child:
                 "",
                 "-p",
                 "no:cacheprovider",
+                "-p",
+                "no:hypothesispytest",  # takes two seconds to import
                 "--capture=fd",
                 *nodes,
             ],

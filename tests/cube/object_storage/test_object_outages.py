@@ -110,7 +110,17 @@ def test_a_server_that_is_killed(dying_server: Outage, tmp_path: Path) -> None:
     endure(dying_server, f"s3://{dying_server.s3.bucket}/a.zarr", tmp_path)
 
 
-SCAN = ["scan", "sensors2019", "--virtual", "--lines", "24", "--seed", "3", "--set", "storage.lines_per_shard=8"]
+SMALL = ("storage.lines_per_shard=8", "roi.samples=200", "roi.bands=120")
+SCAN = [
+    "scan",
+    "sensors2019",
+    "--virtual",
+    "--lines",
+    "24",
+    "--seed",
+    "3",
+    *(word for key in SMALL for word in ("--set", key)),
+]
 
 
 @pytest.mark.parametrize("spooled", [False, True])
