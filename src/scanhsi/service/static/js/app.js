@@ -63,7 +63,7 @@ function bar() {
       progress && info.job && fact("lines/s", progress.lines_per_second?.toFixed(1) ?? "–"),
       progress && info.job && fact("efficiency", percent(progress.efficiency)),
       fact("mirror", info.mirror.step === null ? "unknown" : `step ${info.mirror.step}`),
-      fact("disk", `${bytes(info.free_bytes)} free`));
+      fact("free disk", bytes(info.free_bytes)));
   };
   on("state", draw);
   on("progress", (data) => { progress = data; draw(); });

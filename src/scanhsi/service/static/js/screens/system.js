@@ -37,7 +37,7 @@ function open(element, page) {
   ] : [];
   element.append(h("div.panes.wide",
     h("div.pane.scrolls", { tabIndex: 0 }, h("div.card", h("h2", "Instrument"),
-      h("table", h("tbody", rows.map(([name, text]) => h("tr", h("th", name), h("td", text))), h("tr", h("th", "in control"), holder), h("tr", h("th", "looking on"), viewers))))),
+      h("table.names", h("tbody", rows.map(([name, text]) => h("tr", h("th", name), h("td", text))), h("tr", h("th", "in control"), holder), h("tr", h("th", "looking on"), viewers))))),
     h("div.pane", controlNote(), scenes?.element, h("div.card.fills", h("h2", "Log"), log),
       h("p.muted", "Keys: 1 to 9 screens, Escape STOP, L light or dark, arrows jog."),
       h("a.btn", { href: "/api/v1/openapi.json", target: "_blank", rel: "noopener" }, "Description of the interface"))));
