@@ -5,6 +5,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := env
 .NOTPARALLEL:       # sets up before it runs, also under `make -j`
 .DELETE_ON_ERROR:   # a .venv that was only half made is made again
+unexport PYTHONDONTWRITEBYTECODE  # or each of hundreds of processes compiles all modules anew
 
 # The distribution's Python first: its python3-gi, through which Aravis is reached, fits no other minor version.
 PYTHON ?= $(shell for python in /usr/bin/python3 python3.13 python3.12 python3.11 python3; do \
