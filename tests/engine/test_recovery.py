@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
@@ -215,6 +216,20 @@ def test_a_lost_frame_is_taken_again_at_its_place(mode: Mode, word: bool, use_ca
     assert attempts[4] >= 3
     assert report.interrupted_s == pytest.approx(sum(incident.lasted_s for incident in report.incidents))
     assert not [call for call in rig.trouble.calls if call.startswith("connect")] or not word
+
+
+def test_faults_that_are_dealt_with_hold_on_to_nothing(use_camera: Any) -> None:
+    """Without the garbage collector, which comes too seldom: the stack frames of an error hold on to frames of the camera."""
+    use_camera(losing(dict.fromkeys(range(1, LINES), 2)))
+    gc.collect()
+    gc.disable()
+    try:
+        report = Rig(Mode.STEPPED).run()
+        held = [thing for thing in gc.get_objects() if isinstance(thing, FrameLost)]
+    finally:
+        gc.enable()
+    assert len(report.incidents) > 10
+    assert len(held) <= 2
 
 
 def test_the_period_of_a_scan_leaves_interruptions_out(use_camera: Any) -> None:

@@ -6,6 +6,7 @@ A scan that nothing disturbs is one leg. A pause or a fault ends a leg; the next
 from __future__ import annotations
 
 import asyncio
+import traceback
 from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any, cast
@@ -106,6 +107,9 @@ def leaves(error: BaseException) -> list[BaseException]:
     if not isinstance(error, BaseExceptionGroup):
         return [error]
     group = cast(BaseExceptionGroup[BaseException], error)
+    # It is done with, but the stack frame of the task group that raised it holds on to it: see `let_go`.
+    traceback.clear_frames(group.__traceback__)
+    group.__traceback__ = None
     found = [leaf for part in group.exceptions for leaf in leaves(part)]
     return sorted(found, key=lambda leaf: (not isinstance(leaf, ScanhsiError), isinstance(leaf, DeviceTimeout)))
 

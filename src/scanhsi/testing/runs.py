@@ -19,6 +19,7 @@ from scanhsi.clock import now_ns
 from scanhsi.cube.destination import Destination
 from scanhsi.cube.durable import LocalDestination
 from scanhsi.engine import Progress, ScanPlan, ScanReport
+from scanhsi.engine.recovery import let_go
 from scanhsi.engine.steering import ScanControl
 from scanhsi.testing.cases import Case
 from scanhsi.testing.faults import NO_FAULTS, Faults
@@ -191,27 +192,13 @@ def _described(context: dict[str, Any]) -> str:
 
 def _look_what_is_left(outcome: Outcome, handles: int, threads: set[threading.Thread]) -> None:
     if outcome.witness.alive:
-        outcome.error = _without_traceback(outcome.error)
+        let_go(() if outcome.error is None else (outcome.error,))  # so that it holds on to nothing
         gc.collect()
     if outcome.witness.alive:
         outcome.left.append(f"{outcome.witness.alive} frames")
     outcome.left += [f"thread {thread.name}" for thread in set(threading.enumerate()) - threads if not _known(thread)]
     if (more := _handles() - handles) > 0:
         outcome.left.append(f"{more} file handles")
-
-
-def _without_traceback(error: BaseException | None) -> BaseException | None:
-    """An error as it was, but for the frames of its traceback, which hold on to everything."""
-    seen: list[BaseException] = []
-    waiting = [error]
-    while waiting:
-        one = waiting.pop()
-        if one is None or one in seen:
-            continue
-        seen.append(one)
-        one.__traceback__ = None
-        waiting += [one.__cause__, one.__context__, *getattr(one, "causes", ()), *getattr(one, "exceptions", ())]
-    return error
 
 
 def _known(thread: threading.Thread) -> bool:
