@@ -104,10 +104,13 @@ async def listen(hear: Callable[[], Awaitable[Event]], limit_s: float) -> Event:
     """
     loop = asyncio.get_running_loop()
     due = loop.time() + limit_s
+    timer = asyncio.timeout_at(due)
     try:
-        async with asyncio.timeout_at(due):
+        async with timer:
             return await hear()
     except TimeoutError:
+        if not timer.expired():  # it is what was heard
+            raise
         deaf_s = loop.time() - due
     async with asyncio.timeout(deaf_s):
         return await hear()

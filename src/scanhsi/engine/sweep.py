@@ -130,10 +130,10 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
             continue
         behind_gap |= place > line
         line = _lose(scan, range(line, min(place, end)), "the camera was still busy when this line was due")
-        if behind_gap:
-            await _catch_up(scan, line, sweep)
-            behind_gap = False
         if place < end:
+            if behind_gap:
+                await _catch_up(scan, line, sweep)
+                behind_gap = False
             line = await _take_or_drop(scan, event, line)
     if places.shifted:
         await _refuse_surplus(scan, stream)

@@ -30,6 +30,8 @@ SLOTS: Final = 3
 
 _SMALL_S: Final = 0.75
 """A delay that no deadline of the engine can mind."""
+_SHORT_SWEEP: Final = 8
+"""So many lines may be over before the frame of the first one is there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +143,9 @@ def _fails_needlessly(outcome: Outcome) -> Iterator[str]:
     """What is harmless must not end a scan, nor cost a line."""
     if outcome.cancellations or any(not _harmless(happened.fault) for happened in outcome.faults.happened):
         return
-    if outcome.plan.mode is Mode.CONTINUOUS and Kind.MOVE_SLOW in outcome.faults.kinds():
-        return  # a sweep that begins late looks like lost pulses when the mirror is past its end by the time it is asked
+    short = outcome.plan.mode is Mode.CONTINUOUS and outcome.plan.lines <= _SHORT_SWEEP
+    if short and Kind.MOVE_SLOW in outcome.faults.kinds():
+        return  # it begins late, which looks like lost pulses: the mirror is past its end when it is asked where it is
     if outcome.error is not None:
         yield f"{type(outcome.error).__name__}: {outcome.error}"
     elif outcome.report is not None and outcome.report.missing:
