@@ -180,7 +180,6 @@ def check_accounts(report: scanhsi.ScanReport, camera: dict[str, Any], path: Pat
         return reasons
     assert report.missing == 0
     assert camera["exposures"] <= attempt.sum(), "an exposure that no try tells of"
-    assert camera["exposures"] - len(attempt) <= 2 * len(
-        report.incidents
-    )  # of a line, and of the next one that was under way
+    # of a line, and of the next one that was under way
+    assert camera["exposures"] - len(attempt) <= 2 * len(report.incidents)
     return reasons + Counter(incident.cause.rsplit(": ", 1)[-1].split(" (")[0] for incident in report.incidents)
