@@ -37,24 +37,30 @@ def scan_twin(output: Path) -> None:
 def test_a_replay_of_a_twin_scan_is_that_scan_again(
     tmp_path: Path, record_property: Callable[[str, object], None]
 ) -> None:
-    """Line period (and so efficiency) within 3 %. The part of delays below the recorded median is 0.5 within 0.08, below the 95 %
-    quantile 0.95 within 0.04: so far replays of 400 dependent lines scatter on a busy computer."""
+    """Each delay that a device spends is a recorded one, to the nanosecond. What queues behind them (copies, and so lines) is the
+    same within the scatter of the replays: a busy computer's few bursts come more often in one than in another."""
     scan_twin(tmp_path / "twin.zarr")
     profile = tmp_path / "twin.json"
     assert run(["delays", "record", str(tmp_path / "twin.zarr"), "-o", str(profile)]) == 0
     assert load_profile(profile).mark.startswith("SIMULATED")
     measured = read_records(tmp_path / "twin.zarr").stamps
-    replays = [replayed(profile, tmp_path / f"{seed}.zarr", seed) for seed in range(12)]
-    periods = [float(np.diff(exposure_starts(stamps)).mean()) * 1e-6 for stamps in (measured, *replays)]
-    record_property("period_ms", periods)
-    assert np.mean(periods[1:]) == pytest.approx(periods[0], rel=0.03)
+    replays = [replayed(profile, tmp_path / f"{seed}.zarr", seed) for seed in range(8)]
+    periods = [float(np.diff(exposure_starts(stamps)).mean()) for stamps in replays]
+    period = float(np.diff(exposure_starts(measured)).mean())
+    record_property("period_ms", [period * 1e-6, *(each * 1e-6 for each in periods)])
+    assert np.mean(periods) == pytest.approx(period, abs=0.02 * period + 3 * standard_error(periods))
     wanted, found = samples(measured), [samples(stamps) for stamps in replays]
+    for name in ("T_act", "T_ev", "T_rx"):
+        assert np.isin(np.concatenate([each[name] for each in found]), wanted[name]).all(), name
     for name in ("line", "T_act", "T_ev", "T_rx", "T_mcpy"):
-        again = np.concatenate([each[name] for each in found])
-        for part, tolerance in ((0.5, 0.08), (0.95, 0.04)):
-            level = float(np.mean(again <= np.quantile(wanted[name], part)))
-            record_property(f"{name} {part}", level)
-            assert level == pytest.approx(part, abs=tolerance), name
+        for part in (0.5, 0.95):
+            levels = [float(np.mean(each[name] <= np.quantile(wanted[name], part))) for each in found]
+            record_property(f"{name} {part}", levels)
+            assert np.mean(levels) == pytest.approx(part, abs=0.05 + 3 * standard_error(levels)), name
+
+
+def standard_error(values: list[float]) -> float:
+    return float(np.std(values, ddof=1)) / len(values) ** 0.5
 
 
 def replayed(profile: Path, output: Path, seed: int) -> Stamps:
