@@ -25,8 +25,10 @@ from scanhsi.cube.places import destination_of
 from scanhsi.cube.slow import SlowSink
 from scanhsi.cube.watched import Watch, WatchedSink
 from scanhsi.devices import Actuator, Camera, CameraSettings, Light, PixelFormat, sensor_temperature_c
-from scanhsi.devices.errors import ConfigError, DeviceBusy
+from scanhsi.devices.errors import ConfigError, DeviceBusy, ScanhsiError
 from scanhsi.engine import Course, Mode, Progress, ScanControl, ScanPlan, ScanReport, run_scan
+from scanhsi.engine.lost import LostDevices
+from scanhsi.engine.reopening import DeviceRole
 from scanhsi.engine.resume import Begun, begun
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
@@ -104,6 +106,7 @@ class Imager:
         self.instrument = instrument
         self.run = run
         self._scanning = False
+        self._lost = LostDevices(instrument)
 
     @property
     def config(self) -> InstrumentConfig:
@@ -186,7 +189,7 @@ class Imager:
             DeviceBusy: A scan of this instrument is under way.
             ScanFailed: It began and did not end well; what was stored is safe and opens as a shorter cube.
         """
-        with self._one_scan():
+        async with self._one_scan():
             course = self.course(plan)
             limits = self.instrument.actuator_info.limits
             with clock.real_time(real_time) as granted:
@@ -240,7 +243,7 @@ class Imager:
             DeviceBusy: A scan of this instrument is under way.
             ScanFailed: As `scan`; the cube can be resumed again.
         """
-        with self._one_scan():
+        async with self._one_scan():
             before = begun(destination_of(cube))  # what is waiting in a spool changes nothing of that
             plan = plan or before.plan
             self._check_the_same(before, plan)
@@ -306,7 +309,7 @@ class Imager:
         plan = self.default_plan(mode="stepped", look_ahead=None, lines=_LIVE_LINES, step=0, start=step, **chosen)
         course = self.course(plan)
         while True:
-            with self._one_scan():
+            async with self._one_scan():
                 sink = _watched(DiscardSink(capacity=1), watch, course, period_s)  # one buffer: no frame is shown late
                 await run_scan(
                     course,
@@ -317,6 +320,35 @@ class Imager:
                     light=self.instrument.light,
                 )
 
+    @property
+    def lost(self) -> dict[DeviceRole, str]:
+        """Devices that were lost, and what happened to each: they are opened anew before they are used again."""
+        return self._lost.why
+
+    def note_lost(self, error: BaseException) -> None:
+        """See from an error of a device that was used directly whether it is lost. Scans do so by themselves."""
+        self._lost.note(error)
+
+    async def reopen(self, *devices: DeviceRole) -> None:
+        """Open devices anew, once each: close, connect, have the mirror stand and the light off. Nothing moves.
+
+        `scan`, `resume`, `live` and calibrations do so by themselves with what is `lost`, and then set the camera up and home the
+        mirror as they always do. It takes a call before ``hsi.actuator`` or ``hsi.camera`` is used directly, or for a device that
+        does not seem well: see ``hsi.actuator.homed`` then before you move the mirror, and configure the camera.
+
+        Args:
+            devices: ``"camera"``, ``"actuator"``, ``"light"``; those in `lost` by default.
+
+        Raises:
+            DeviceNotFound: Nothing answers, or another device than before.
+            DeviceError: It cannot be opened, or did not confirm that it is at rest. It stays `lost`, and can be tried again.
+            PositionLost: It is open, but nobody knows where the mirror stands, and this drive cannot find its home by itself. Told
+                once: the next motion takes the mirror to stand where the controller believes.
+            DeviceBusy: A scan is under way.
+        """
+        with self._alone("reopen"):
+            await self._lost.reopen(devices or None)
+
     async def _light(self, target: object) -> Light | None:
         """What is switched on for a scan: a dark reference is taken without."""
         light = self.instrument.light
@@ -326,14 +358,25 @@ class Imager:
         return None
 
     @contextmanager
-    def _one_scan(self) -> Generator[None]:
+    def _alone(self, operation: str) -> Generator[None]:
         if self._scanning:
-            raise DeviceBusy("a scan is under way.", device=self.config.name, operation="scan")
+            raise DeviceBusy("a scan is under way.", device=self.config.name, operation=operation)
         self._scanning = True
         try:
             yield
         finally:
             self._scanning = False
+
+    @asynccontextmanager
+    async def _one_scan(self) -> AsyncGenerator[None]:
+        """The devices for one scan, those open again that were lost in an earlier one."""
+        with self._alone("scan"):
+            await self._lost.reopen()
+            try:
+                yield
+            except ScanhsiError as error:
+                self._lost.note(error)
+                raise
 
     def _slowed(self, sink: LineSink, plan: ScanPlan) -> LineSink:
         """The sink, taking the time that the delays of a simulated instrument say."""

@@ -29,7 +29,7 @@ A message says what happened and to which device; ``hint`` says what to try.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 
 class ScanhsiError(Exception):
@@ -166,9 +166,19 @@ class ScanFailed(ScanhsiError):
         stored: Number of lines whose data is safe on disk.
         lines: Number of lines that were planned.
         output: Path of the partial cube, or None when nothing was being stored.
+        lost: Devices that have to be opened anew before they are used again (``camera``, ``actuator``, ``light``), and what
+            happened to each.
     """
 
-    def __init__(self, causes: Sequence[BaseException], *, stored: int, lines: int, output: str | None = None) -> None:
+    def __init__(
+        self,
+        causes: Sequence[BaseException],
+        *,
+        stored: int,
+        lines: int,
+        output: str | None = None,
+        lost: Mapping[str, str] | None = None,
+    ) -> None:
         first = causes[0]
         reason = str(first) if isinstance(first, ScanhsiError) else f"{type(first).__name__}: {first}"
         where = f" in {output}" if output else ""
@@ -180,6 +190,7 @@ class ScanFailed(ScanhsiError):
         self.stored = stored
         self.lines = lines
         self.output = output
+        self.lost = dict(lost or {})
 
     @property
     def unsafe(self) -> tuple[DeviceUnsafe, ...]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 
 from scanhsi.clock import now_ns
-from scanhsi.devices import ActuatorInfo, CameraInfo, FreeRunning, require
+from scanhsi.devices import FreeRunning, require
 from scanhsi.devices.errors import (
     DeviceError,
-    DeviceNotFound,
     DeviceUnavailable,
     DeviceUnsafe,
     FrameLost,
@@ -22,8 +21,9 @@ from scanhsi.devices.errors import (
 )
 from scanhsi.engine.cleanup import clean_up
 from scanhsi.engine.control import unless
-from scanhsi.engine.deadlines import CLOSE_S, CONNECT_S, STOP_S, Part
+from scanhsi.engine.deadlines import CONNECT_S, STOP_S, Part
 from scanhsi.engine.plan import OnFault
+from scanhsi.engine.reopening import check_identity, close_anyhow, position_lost
 from scanhsi.engine.safety import make_safe
 from scanhsi.engine.scan import FLUSH, Scan
 from scanhsi.log import get_logger
@@ -110,6 +110,17 @@ def _lost_part(scan: Scan, failure: BaseException) -> Part | None:
     return None if isinstance(cause, _DEVICE_IS_THERE) else _part_of(scan, failure)
 
 
+def lost_devices(scan: Scan, failures: Sequence[BaseException]) -> dict[str, str]:
+    """Of what ended a scan: the devices that have to be opened anew before they are used again, and what happened to each first."""
+    lost: dict[str, str] = {}
+    for failure in failures:
+        if isinstance(failure, DeviceError) and not isinstance(failure, _HOPELESS):
+            part = _lost_part(scan, failure)
+            if part is not None and part is not Part.STORAGE:
+                lost.setdefault(part.value, str(failure))
+    return lost
+
+
 # --- bringing a device back ---------------------------------------------------------------------------------------------------
 
 
@@ -123,7 +134,7 @@ async def _bring_back(scan: Scan, part: Part, until_ns: int) -> DeviceError | No
     name = scan.watch.names[part]
     began_ns = now_ns()
     for wait_s in _waits_s():
-        await _close(scan, part, close)
+        await close_anyhow(scan.watch, part, close)
         try:
             async with scan.watch(part, _limit_s(until_ns), "connect"):
                 await unless(scan.control.stop.wait(), reopen(scan))
@@ -158,19 +169,11 @@ def _waits_s() -> Iterator[float]:
         wait_s = min(2 * wait_s, LONGEST_WAIT_S)
 
 
-async def _close(scan: Scan, part: Part, close: Callable[[], Awaitable[None]]) -> None:
-    try:
-        async with scan.watch(part, CLOSE_S, "close"):
-            await close()
-    except Exception as error:  # it is gone: what matters is whether it can be opened
-        _log.info("did not close", device=scan.watch.names[part], operation="recover", error=str(error))
-
-
 async def _reopen_camera(scan: Scan) -> None:
     """Connect, and set everything as it was."""
     camera, course = scan.camera, scan.course
     await camera.connect()
-    _check_identity(scan.camera_info, camera.info)
+    check_identity(scan.camera_info, camera.info)
     scan.faults.silent = 0
     applied = await camera.configure(course.settings)
     if applied != course.settings:
@@ -185,17 +188,12 @@ async def _reopen_actuator(scan: Scan) -> None:
     """Connect, and see that the mirror stands; it is homed with the next leg, if it has to be."""
     actuator = scan.actuator
     await actuator.connect()
-    _check_identity(scan.actuator_info, actuator.info)
+    check_identity(scan.actuator_info, actuator.info)
     async with scan.watch(Part.ACTUATOR, STOP_S, "stop"):
         await actuator.stop()
     scan.distrusted = not _stands_where_it_can(scan)
     if scan.distrusted and not actuator.info.finds_home:
-        raise PositionLost(
-            "nobody knows where the mirror stands, and this drive cannot find its home by itself.",
-            device=actuator.info.name,
-            operation="recover",
-            hint="a home switch; or set the mirror by hand and scan anew.",
-        )
+        raise position_lost(actuator.info.name, "recover")
 
 
 def _stands_where_it_can(scan: Scan) -> bool:
@@ -207,14 +205,3 @@ def _stands_where_it_can(scan: Scan) -> bool:
     except PositionLost:
         return False
     return scan.between is None or scan.between[0] <= position <= scan.between[1]
-
-
-def _check_identity(before: CameraInfo | ActuatorInfo, now: CameraInfo | ActuatorInfo) -> None:
-    """It must be the device that went, not another one at its address."""
-    if _identity(before) != _identity(now):
-        raise DeviceNotFound("another device answers there, or the same with another firmware.", device=now.name)
-
-
-def _identity(info: CameraInfo | ActuatorInfo) -> tuple[str, ...]:
-    told = (info.model, info.firmware)
-    return told if isinstance(info, ActuatorInfo) else (*told, info.vendor, info.serial)

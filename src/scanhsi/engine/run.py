@@ -40,6 +40,7 @@ from scanhsi.engine.deadlines import STORE_S, Part, Watch, deadlines
 from scanhsi.engine.legs import TakeLeg, acquire, finish, plan_sweep, take_steps, take_sweep
 from scanhsi.engine.lookahead import Latencies
 from scanhsi.engine.plan import Course, Mode
+from scanhsi.engine.recovery import lost_devices
 from scanhsi.engine.report import Progress, ScanReport
 from scanhsi.engine.safety import leave_safe
 from scanhsi.engine.scan import CAMERA_BUFFERS, Credits, Faults, Scan
@@ -109,7 +110,8 @@ async def run_scan(
             "scan failed", operation="scan", causes=[str(cause) for cause in failures], stored=scan.records.stored
         )
         stored = scan.records.stored
-        raise ScanFailed(failures, stored=stored, lines=course.lines, output=sink.output) from failures[0]
+        lost = lost_devices(scan, failures)
+        raise ScanFailed(failures, stored=stored, lines=course.lines, output=sink.output, lost=lost) from failures[0]
     return report(scan, now_ns())
 
 

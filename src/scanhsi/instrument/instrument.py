@@ -85,7 +85,7 @@ class Instrument:
                 error.add_note(f"while closing: {failure}")
             raise
         if failures:
-            raise _together("did not close", failures)
+            raise together("did not close", failures)
 
     def check(self, settings: CameraSettings, steps: Iterable[int]) -> CameraSettings:
         """Refuse what devices or ``[limits]`` do not allow, before anything moves; return the settings with the ROI filled in.
@@ -128,7 +128,7 @@ async def _connect_all(devices: Mapping[str, Camera | Actuator | Light]) -> None
         for name, device in devices.items():
             group.create_task(_connect(device, name, failures))
     if failures:
-        raise _together("did not connect", failures)
+        raise together("did not connect", failures)
 
 
 async def _connect(device: Camera | Actuator | Light, name: str, failures: list[Exception]) -> None:
@@ -171,7 +171,7 @@ def _timeout(name: str, operation: str, waited_s: float) -> DeviceTimeout:
     return DeviceTimeout("no answer.", device=name, operation=operation, waited_s=waited_s)
 
 
-def _together(what: str, failures: list[Exception]) -> Exception:
+def together(what: str, failures: list[Exception]) -> Exception:
     """One error for one failure, itself; for several, one that lists them all."""
     if len(failures) == 1:
         return failures[0]
