@@ -91,6 +91,27 @@ class Shot:
     read_ns: int
 
 
+@dataclass(slots=True)
+class _Buffers:
+    """Free frame buffers in the host's memory.
+
+    Frames give theirs back here and not to the acquisition: it holds the frames that nobody took, and whom a frame will tell of its
+    end lives as long as the frame.
+    """
+
+    free: int
+
+    def take(self) -> bool:
+        """Whether there was one."""
+        if not self.free:
+            return False
+        self.free -= 1
+        return True
+
+    def give_back(self) -> None:
+        self.free += 1
+
+
 class Acquisition:
     """One armed period of the camera."""
 
@@ -123,7 +144,7 @@ class Acquisition:
         self._settings = settings
         self._exposure_ns = round(settings.exposure_s * 1e9)
         self._overlap = overlap
-        self._free = buffers
+        self._buffers = _Buffers(buffers)
         self._epoch_ns = epoch_ns
         self._on_exposed = on_exposed
         self._last: Shot | None = None
@@ -198,11 +219,10 @@ class Acquisition:
         on_link_ns = self.delays.ns("T_rx", shot.index) + self.delays.ns("T_api", shot.index)
         self._received_ns = self.delays.received_ns(first_byte_ns + on_link_ns, shot.read_ns)
         await sleep_until_ns(first_byte_ns)
-        if not self._free:
+        if not self._buffers.take():
             await sleep_until_ns(self._received_ns)
             self._held -= 1
             return FrameGap(shot.index, 1, "no free buffer")
-        self._free -= 1
         frame = self._frame(shot, first_byte_ns)
         await sleep_until_ns(self._received_ns)
         self._held -= 1
@@ -227,12 +247,9 @@ class Acquisition:
             time_s=((shot.start_ns + shot.end_ns) / 2 - self._epoch_ns) * 1e-9,
             settings=self._settings,
         )
-        weakref.finalize(frame, self._return_buffer).atexit = False
+        weakref.finalize(frame, self._buffers.give_back).atexit = False
         self._on_exposed(frame)
         return frame
-
-    def _return_buffer(self) -> None:
-        self._free += 1
 
     def end(self) -> None:
         """Disarmed: what has not arrived is reported lost, and the frames end. Idempotent."""

@@ -1,6 +1,7 @@
 """The simulated camera against its contract and its schedule, in virtual time, to the ns."""
 
 import asyncio
+import gc
 import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -278,6 +279,25 @@ def test_disarming_reports_what_never_arrived_and_ends_the_frames(profile: Calla
         assert events[-1] == FrameGap(1, 2, "the camera was disarmed before the frame arrived")
         await device.disarm()
         await device.close()
+        await device.close()
+
+    virtually(main)
+
+
+def test_frames_that_nobody_took_die_with_their_acquisition(profile: Callable[..., str]) -> None:
+    """Thousands of frames may be left behind by a scan that takes lines anew again and again."""
+
+    async def main() -> None:
+        device = await armed(camera(profile(**DELAYS)))
+        await device.expose()
+        await asyncio.sleep(1)
+        gc.collect()
+        before = [thing for thing in gc.get_objects() if isinstance(thing, Frame)]
+        assert len(before) == 1
+        before.clear()
+        await device.disarm()
+        gc.collect()
+        assert not [thing for thing in gc.get_objects() if isinstance(thing, Frame)]
         await device.close()
 
     virtually(main)

@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import errno
+import gc
 
 import pytest
 from pydantic import ValidationError
 
+import scanhsi
+from scanhsi.clock import run_virtual
 from scanhsi.devices import Role, capabilities_of, find
+from scanhsi.instrument import load_instrument
 from scanhsi.testing.conformance import ActuatorConformance, CameraConformance
 from scanhsi.testing.faults import ABOUT, NO_FAULTS, Fault, FaultPlan, Faults, Kind
 from scanhsi.testing.faulty_actuator import faulty_actuator
 from scanhsi.testing.faulty_bytes import ByteFilter
 from scanhsi.testing.faulty_camera import faulty_camera
 from scanhsi.testing.faulty_storage import FaultyDestination, MemoryDestination
+from scanhsi.testing.instrument import with_faults
+from scanhsi.testing.witness import Witness
+
+SMALL = {
+    "roi.samples": 24,
+    "roi.bands": 16,
+    "roi.sample_offset": 1000,
+    "roi.band_offset": 500,
+    "camera.scene": "testpattern",
+}
 
 
 def plan(*faults: Fault) -> Faults:
@@ -47,6 +61,25 @@ def test_a_wrapper_has_the_abilities_of_what_is_inside() -> None:
     assert "OverlapsReadout" not in capabilities_of(
         faulty_camera(plain.create(plain.options(overlap=False)), Faults(NO_FAULTS))
     )
+
+
+def test_only_a_witness_that_is_asked_for_keeps_the_pixels() -> None:
+    """They take the memory of a frame for each exposure."""
+
+    def scan(witness: Witness | None) -> list[Witness]:
+        config = with_faults(load_instrument("sensors2019", SMALL), Faults(NO_FAULTS), witness)
+
+        async def main() -> list[Witness]:
+            async with scanhsi.open_instrument(config) as hsi:
+                await hsi.scan(hsi.default_plan(lines=5, exposure="10 ms"), None)
+                return [thing for thing in gc.get_objects() if isinstance(thing, Witness)]
+
+        return run_virtual(main())
+
+    assert not any(witness.sights for witness in scan(None))
+    asked = Witness()
+    scan(asked)
+    assert len(asked.sights) == 5
 
 
 def test_every_kind_is_explained() -> None:

@@ -217,4 +217,4 @@ def faulty_actuator(inner: Actuator, faults: Faults, witness: Witness | None = N
     parts = tuple(part for ability, part in _ABILITIES if isinstance(inner, ability))
     if parts not in _classes:
         _classes[parts] = type("FaultyActuator", parts or (FaultyActuator,), {})
-    return _classes[parts](inner, faults, witness or Witness())
+    return _classes[parts](inner, faults, witness or Witness(keeps=False))

@@ -228,4 +228,4 @@ def faulty_camera(inner: Camera, faults: Faults, witness: Witness | None = None)
     parts = tuple(part for ability, part in _ABILITIES if isinstance(inner, ability))
     if parts not in _classes:  # an ability is having its methods, so each set of abilities is a class
         _classes[parts] = type("FaultyCamera", parts or (FaultyCamera,), {})
-    return _classes[parts](inner, faults, witness or Witness())
+    return _classes[parts](inner, faults, witness or Witness(keeps=False))

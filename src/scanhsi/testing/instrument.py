@@ -54,7 +54,7 @@ def with_faults(config: InstrumentConfig, faults: Faults, witness: Witness | Non
         faults: The plan under way.
         witness: Told what truly happens, where the devices are simulated.
     """
-    witness = witness or Witness()
+    witness = witness or Witness(keeps=False)
     camera = _FailingCamera.model_construct(driver=config.camera.driver, options=config.camera.options)
     actuator = _FailingActuator.model_construct(driver=config.actuator.driver, options=config.actuator.options)
     failing: dict[str, DeviceConfig] = {

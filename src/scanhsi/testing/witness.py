@@ -70,6 +70,7 @@ class Witness:
     """Sees what truly happens, through devices that know it; of others it sees nothing.
 
     Attributes:
+        keeps: Whether it notes exposures; each takes the memory of a frame. Without, only the state of the devices.
         sights: By the start of each exposure.
         offset: Of the actuator, now: reported minus true.
         homed: Whether the actuator has found its home since it was opened, or reset.
@@ -81,6 +82,7 @@ class Witness:
         mirror, scene: Who knows.
     """
 
+    keeps: bool = True
     sights: dict[int, Sight] = field(default_factory=dict[int, Sight])
     offset: int = 0
     homed: bool = False
@@ -102,7 +104,7 @@ class Witness:
             shut_ns: When the shutter closed.
             offset: Of the actuator, at its start; by default as it is now.
         """
-        if start_ns in self.sights or self.mirror is None or self.scene is None:
+        if not self.keeps or start_ns in self.sights or self.mirror is None or self.scene is None:
             return
         span, (low, high) = self.mirror.true_span(start_ns, end_ns), self.mirror.true_span(start_ns, shut_ns)
         pixels = np.asarray(self.scene.true_pixels(span))
