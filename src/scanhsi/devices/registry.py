@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum, unique
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
@@ -98,7 +99,8 @@ class Found:
 
 def installed(role: Role) -> list[Found]:
     """Every installed backend of a role, also those that cannot be loaded, by name."""
-    return sorted((_load(role, point) for point in entry_points(group=role.value)), key=lambda found: found.name)
+    _points.cache_clear()
+    return sorted((_load(role, point) for point in _points(role)), key=lambda found: found.name)
 
 
 def find(role: Role, name: str) -> Backend[Any]:
@@ -108,7 +110,9 @@ def find(role: Role, name: str) -> Backend[Any]:
         ConfigError: No such driver is installed; the message lists those that are.
         DeviceUnavailable: It is installed and cannot be loaded here.
     """
-    known = {point.name: point for point in entry_points(group=role.value)}
+    if all(point.name != name for point in _points(role)):
+        _points.cache_clear()  # it may have been installed since
+    known = {point.name: point for point in _points(role)}
     if name not in known:
         raise ConfigError(
             f"there is no {role.word} driver {name!r}; installed are: {', '.join(sorted(known)) or 'none'}.",
@@ -118,6 +122,12 @@ def find(role: Role, name: str) -> Backend[Any]:
     if found.backend is None:
         raise DeviceUnavailable(f"driver {name!r} of {found.package} cannot be loaded: {found.problem}", device=name)
     return found.backend
+
+
+@cache
+def _points(role: Role) -> tuple[EntryPoint, ...]:
+    """Looked up once: to go through all that is installed takes longer than to open a simulated instrument."""
+    return tuple(entry_points(group=role.value))
 
 
 def _load(role: Role, point: EntryPoint) -> Found:
