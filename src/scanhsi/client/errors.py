@@ -17,7 +17,8 @@ def error_of(problem: Mapping[str, Any]) -> ScanhsiError:
     name, detail = str(problem.get("error", "")), str(problem.get("detail", problem))
     causes = [error_of(cause) for cause in cast("list[dict[str, Any]]", problem.get("causes") or [])]
     if name == "ScanFailed" and causes:
-        return ScanFailed(causes, stored=int(problem.get("stored", 0)), lines=int(problem.get("lines", 0)))
+        stored, lines = int(problem.get("stored", 0)), int(problem.get("lines", 0))
+        return ScanFailed(causes, stored=stored, lines=lines, lost=problem.get("lost"))
     if name in ("ConfigError", "InvalidRequest"):
         sentences = cast("list[str]", problem.get("problems") or [])
         error: ScanhsiError = ConfigError(detail.split("\n")[0], sentences, hint=problem.get("hint"))

@@ -25,6 +25,7 @@ from scanhsi.client.transport import Transport, connected
 from scanhsi.cube.exchange.output import refuse_existing
 from scanhsi.devices.errors import CalibrationError, ScanhsiError
 from scanhsi.engine import Progress, ScanControl, ScanPlan, ScanReport
+from scanhsi.engine.reopening import DeviceRole
 from scanhsi.imager import default_plan
 from scanhsi.instrument import InstrumentConfig
 
@@ -112,6 +113,17 @@ class AsyncClient:
     async def state(self) -> dict[str, Any]:
         """How things stand."""
         return await self._transport.get("/state")
+
+    async def reopen(self, *devices: DeviceRole) -> None:
+        """Open devices anew, by default those that were lost (``(await hsi.state())["lost"]``); see `scanhsi.Imager.reopen`.
+
+        Args:
+            devices: ``"camera"``, ``"actuator"``, ``"light"``.
+
+        Raises:
+            DeviceError: As `scanhsi.Imager.reopen`.
+        """
+        await self._transport.command("POST", "/devices/reopen", {"devices": devices})
 
     async def check(self, plan: ScanPlan) -> dict[str, Any]:
         """What a plan will cost and show; nothing moves.

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from scanhsi.devices import PixelFormat
 from scanhsi.engine import Mode, OnFault
+from scanhsi.engine.reopening import DeviceRole
 from scanhsi.service.downloads import DownloadFormat
 from scanhsi.service.folder import NAME
 from scanhsi.service.jobs import Job, JobState, plain
@@ -73,6 +74,9 @@ class StateModel(BaseModel):
     instrument: str
     run: str = Field(description="Identifies this opening of the instrument, in logs and cubes.")
     simulated: bool = Field(description="Whether any device is not a real one.")
+    lost: dict[DeviceRole, str] = Field(
+        description="Devices that were lost, and what happened to each: the next command that needs them opens them anew."
+    )
     busy: Literal["idle", "live", "moving", "job"] = Field(description="What uses the devices.")
     live: bool = Field(description="Whether the live view is switched on.")
     job: str | None = Field(description="The job under way.")
@@ -124,6 +128,12 @@ class SceneBody(Body):
     """What a simulated camera is to look at."""
 
     scene: str = Field(max_length=100, examples=["white"])
+
+
+class ReopenBody(Body):
+    """Which devices are to be opened anew."""
+
+    devices: list[DeviceRole] = Field(default=[], max_length=3, description="Those that were lost, if left out.")
 
 
 class GoTo(Body):

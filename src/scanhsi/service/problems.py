@@ -53,7 +53,7 @@ def problem_of(error: BaseException) -> dict[str, Any]:
     if isinstance(error, ConfigError):
         problem["problems"] = list(error.problems)
     if isinstance(error, ScanFailed):
-        problem |= {"stored": error.stored, "lines": error.lines}
+        problem |= {"stored": error.stored, "lines": error.lines, "lost": error.lost}
         problem["causes"] = [problem_of(cause) for cause in error.causes]
     elif isinstance(error.__cause__, ExceptionGroup):  # several devices failed at once
         group = cast("ExceptionGroup[Exception]", error.__cause__)

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from scanhsi.devices import CameraSettings, PixelFormat, ShowsScenes, check_settings
-from scanhsi.devices.errors import DeviceBusy, PositionLost, ScanhsiError, UnsupportedFeature
+from scanhsi.devices.errors import DeviceBusy, DeviceError, PositionLost, ScanhsiError, UnsupportedFeature
+from scanhsi.engine.reopening import DeviceRole
 from scanhsi.imager import Imager
 from scanhsi.log import get_logger
 from scanhsi.service.background import Background
@@ -94,6 +95,8 @@ class Station:
     def mirror(self) -> MirrorState:
         """Where the mirror is."""
         actuator = self.imager.actuator
+        if "actuator" in self.imager.lost:
+            return MirrorState(None, False, None, self.moving)
         try:
             step = actuator.position
         except PositionLost:
@@ -119,6 +122,7 @@ class Station:
                 "instrument": self.imager.config.name,
                 "run": self.imager.run,
                 "simulated": self.imager.instrument.simulated,
+                "lost": self.imager.lost,
                 "busy": self.busy,
                 "live": self.live,
                 "job": None if job is None else job.id,
@@ -161,7 +165,13 @@ class Station:
         self.changed()
 
     async def set_live(self, on: bool) -> None:
-        """Switch the live view on or off. During a job it comes when that is over."""
+        """Switch the live view on or off. During a job it comes when that is over.
+
+        Raises:
+            DeviceError: A device was lost, and is not back.
+        """
+        if on and self.jobs.current is None:
+            await self._have(*self.imager.lost)
         self.live = on
         if not on:
             await self._end_live()
@@ -177,7 +187,9 @@ class Station:
         """
         camera = self.imager.camera
         if not isinstance(camera, ShowsScenes):
-            raise UnsupportedFeature("it looks at what is before it.", device=camera.info.name, operation="show")
+            name = self.imager.instrument.camera_info.name
+            raise UnsupportedFeature("it looks at what is before it.", device=name, operation="show")
+        await self._have("camera")
         await self._alone("show", lambda: camera.show(scene))
         self.changed()
 
@@ -187,6 +199,8 @@ class Station:
         Raises:
             DeviceBusy, DeviceError: As the actuator does; a job is under way.
         """
+        with contextlib.suppress(PositionLost):  # this is what helps
+            await self._have("actuator")
         return await self._move("home", self.imager.actuator.home)
 
     async def go_to(self, step: int) -> MirrorState:
@@ -198,6 +212,7 @@ class Station:
         """
         info = self.imager.instrument.actuator_info
         info.limits.check("step", step, device=info.name)
+        await self._have("actuator")
         if not self.imager.actuator.homed:
             raise PositionLost("it was not homed.", device=info.name, operation=f"move_to {step}", hint="home it")
         return await self._move(f"move_to {step}", lambda: self.imager.actuator.move_to(step))
@@ -208,6 +223,14 @@ class Station:
         Raises:
             OutOfRange, PositionLost: As `go_to`.
         """
+        if await self._have("actuator") and not self.imager.actuator.homed:
+            name = self.imager.instrument.actuator_info.name
+            raise PositionLost(
+                "it was lost, and does not know where it stands.",
+                device=name,
+                operation=f"jog {steps:+}",
+                hint="home it",
+            )
 
         async def by() -> None:
             info, actuator = self.imager.instrument.actuator_info, self.imager.actuator
@@ -216,6 +239,20 @@ class Station:
             await actuator.move_to(target)
 
         return await self._move(f"jog {steps:+}", by)
+
+    async def reopen(self, *roles: DeviceRole) -> None:
+        """Open devices anew, once each; nothing moves. See `scanhsi.Imager.reopen`.
+
+        Args:
+            roles: Which; by default those that were lost.
+
+        Raises:
+            DeviceError: As `scanhsi.Imager.reopen`; a job is under way.
+        """
+        if roles or self.imager.lost:
+            self.live = False  # it homes the mirror: somebody is to ask for that
+            await self._alone("reopen", lambda: self.imager.reopen(*roles))
+        self.changed()
 
     async def stop(self) -> MirrorState:
         """STOP: the mirror first, then everything that would move it again. Always allowed.
@@ -231,6 +268,9 @@ class Station:
             task.cancel()
         try:
             await asyncio.shield(stopping)
+        except DeviceError as error:
+            self._note_lost(error)
+            raise
         finally:
             await self._end_live()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -251,6 +291,7 @@ class Station:
         async def alone(job: Job) -> dict[str, Any]:
             async with self._devices:
                 await self._end_live()
+                await self.imager.reopen()
                 return await work(job)
 
         return self.jobs.start(job, alone)
@@ -266,6 +307,19 @@ class Station:
             )
 
     # --- inside --------------------------------------------------------------------------------------------------
+
+    async def _have(self, *roles: DeviceRole) -> bool:
+        """Open these devices anew if they were lost, on somebody's command; return whether any was."""
+        lost: list[DeviceRole] = [role for role in self.imager.lost if role in roles]
+        if lost:
+            await self._alone("reopen", lambda: self.imager.reopen(*lost))
+        return bool(lost)
+
+    def _note_lost(self, error: DeviceError) -> None:
+        self.imager.note_lost(error)
+        if self.imager.lost:
+            self.live = False
+            self.changed()
 
     async def _nothing(self) -> None:
         """A live view begins anew, with the settings as they are now."""
@@ -296,6 +350,9 @@ class Station:
                 await self._end_live()
                 try:
                     return await work()
+                except DeviceError as error:
+                    self._note_lost(error)
+                    raise
                 finally:
                     self._begin_live()
 
@@ -311,6 +368,9 @@ class Station:
 
     def _begin_live(self) -> None:
         if self.live and self._live_task is None and self.jobs.current is None:
+            if self.imager.lost:  # it would home a mirror that was lost: not without somebody's asking for it
+                self.live = False
+                return
             self._live_task = asyncio.get_running_loop().create_task(self._look(), name="live")
 
     async def _end_live(self) -> None:

@@ -20,6 +20,7 @@ from scanhsi.service.models import (
     GoTo,
     Jog,
     MirrorModel,
+    ReopenBody,
     SceneBody,
     StateModel,
     SwitchBody,
@@ -67,6 +68,13 @@ async def get_capabilities(station: StationHere) -> CapabilitiesModel:
     )
 
 
+@router.post("/devices/reopen", tags=["instrument"], dependencies=[IN_CONTROL], responses=problems(409, 503, 504))
+async def reopen_devices(station: StationHere, body: ReopenBody) -> StateModel:
+    """Open devices anew that were lost, or do not seem well; one attempt. Nothing moves; the live view ends."""
+    await station.reopen(*body.devices)
+    return StateModel(**station.state())
+
+
 @router.post("/stop", tags=["mirror"], responses=problems(503, 504))
 async def stop(station: StationHere) -> MirrorModel:
     """STOP: the mirror, and whatever would move it again. Needs no control."""
@@ -86,14 +94,14 @@ async def set_camera(station: StationHere, body: CameraPatch) -> CameraModel:
     return CameraModel(**station.settings_json())
 
 
-@router.put("/live", tags=["camera"], dependencies=[IN_CONTROL], responses=problems(409))
+@router.put("/live", tags=["camera"], dependencies=[IN_CONTROL], responses=problems(409, 503, 504))
 async def set_live(station: StationHere, body: SwitchBody) -> StateModel:
     """Switch the live view on or off; its frames come over the WebSocket `/api/v1/preview`."""
     await station.set_live(body.on)
     return StateModel(**station.state())
 
 
-@router.put("/scene", tags=["camera"], dependencies=[IN_CONTROL], responses=problems(409))
+@router.put("/scene", tags=["camera"], dependencies=[IN_CONTROL], responses=problems(409, 503, 504))
 async def set_scene(station: StationHere, body: SceneBody) -> StateModel:
     """Put something else before a simulated camera."""
     await station.show_scene(body.scene)

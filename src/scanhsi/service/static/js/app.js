@@ -55,7 +55,9 @@ function bar() {
     if (!info) return;
     name.textContent = info.instrument;
     badge.hidden = !info.simulated;
-    doing.textContent = state.connected ? info.busy : "service does not answer";
+    const lost = Object.keys(info.lost);
+    doing.textContent = !state.connected ? "service does not answer" : lost.length ? `${lost.join(", ")} lost` : info.busy;
+    doing.classList.toggle("bad", !state.connected || lost.length > 0);
     const fact = (label, text) => h("div.fact", h("span", label), text);
     fill(facts,
       fact("exposure", seconds(info.camera.exposure_s)),
@@ -70,8 +72,7 @@ function bar() {
 }
 
 async function stopAll() {
-  await attempt(() => post("/stop"));
-  say("Stopped", "The mirror stands still; what was under way has ended.");
+  if (await attempt(() => post("/stop"))) say("Stopped", "The mirror stands still; what was under way has ended.");
 }
 
 function toggleTheme() {

@@ -1,11 +1,11 @@
 // System: devices, what is simulated, versions, the log.
 
-import { get, put } from "../api.js";
-import { choice, h } from "../dom.js";
+import { get, post, put } from "../api.js";
+import { choice, fill, h } from "../dom.js";
 import { ago } from "../format.js";
-import { attempt } from "../messages.js";
+import { attempt, say } from "../messages.js";
 import { state } from "../store.js";
-import { commands, controlNote } from "./common.js";
+import { command, commands, controlNote } from "./common.js";
 
 const KEPT = 200;
 
@@ -13,7 +13,7 @@ function open(element, page) {
   const { capabilities: known } = state;
   const log = h("div.fills", { style: { overflowY: "auto" }, tabIndex: 0, role: "log" });
   const add = (event) => {
-    log.prepend(h("pre", h(event.level === "error" || event.level === "critical" ? "b" : "span", `${(event.time ?? event.timestamp ?? "").slice(11, 19)} ${event.level}  ${event.event}`)));
+    log.prepend(h("pre", h(event.level === "error" || event.level === "critical" ? "b" : "span", `${(event.time ?? event.timestamp ?? "").slice(11, 19)} ${event.level}  ${[event.event, event.error ?? event.device].filter(Boolean).join(": ")}`)));
     while (log.children.length > KEPT) log.lastChild.remove();
   };
   page.on("log", add);
@@ -36,12 +36,34 @@ function open(element, page) {
     ...Object.entries(known.versions),
   ] : [];
   element.append(h("div.panes.wide",
-    h("div.pane.scrolls", { tabIndex: 0 }, h("div.card", h("h2", "Instrument"),
+    h("div.pane.scrolls", { tabIndex: 0 }, lostCard(page), h("div.card", h("h2", "Instrument"),
       h("table.names", h("tbody", rows.map(([name, text]) => h("tr", h("th", name), h("td", text))), h("tr", h("th", "in control"), holder), h("tr", h("th", "looking on"), viewers))))),
     h("div.pane", controlNote(), scenes?.element, h("div.card.fills", h("h2", "Log"), log),
       h("p.muted", "Keys: 1 to 9 screens, Escape STOP, L light or dark, arrows jog."),
       h("a.btn", { href: "/api/v1/openapi.json", target: "_blank", rel: "noopener" }, "Description of the interface"))));
   commands(page, element);
+}
+
+// What was lost, why, and a button that opens it anew.
+function lostCard(page) {
+  const again = command("Open anew", async () => {
+    again.textContent = "Opening …";
+    try {
+      await post("/devices/reopen", {});
+      say("Open again", "Nothing has moved. The next scan homes the mirror where that is due.");
+    } finally {
+      again.textContent = "Open anew";
+    }
+  }, { kind: "primary" });
+  const reasons = h("div.list");
+  const card = h("div.card", { hidden: true }, h("h2", "Lost"), reasons,
+    h("p.muted", "See to power and cable. The next scan or motion opens it anew, or this does, which moves nothing:"), again);
+  page.on("state", (info) => {
+    const lost = Object.values(info?.lost ?? {});
+    card.hidden = !lost.length;
+    fill(reasons, lost.map((why) => h("p.note.bad", why)));
+  });
+  return card;
 }
 
 function device(role, info, abilities) {
