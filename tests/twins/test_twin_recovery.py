@@ -11,6 +11,7 @@ import pytest
 
 import scanhsi
 from scanhsi import clock
+from scanhsi.devices.errors import DeviceNotFound
 from scanhsi.engine import Progress
 from scanhsi.instrument import load_instrument
 from scanhsi_sim.twins.camera_twin import CameraTwin, CameraTwinSettings
@@ -87,3 +88,38 @@ def test_a_camera_dies_and_is_started_again(tmp_path: Path) -> None:
                 return await scanning
 
     check(clock.run(main()), tmp_path / "cube.zarr", "camera aravis")
+
+
+@pytest.mark.soak
+def test_between_two_scans_both_go_and_come_back(tmp_path: Path) -> None:
+    """The instrument stays open: whoever finds a device lost is told, and the next scan has it back."""
+
+    async def main() -> None:
+        async with TwinRig(scene="testpattern") as rig:
+            config = load_instrument("twin", {"actuator.port": rig.port, "camera.address": rig.camera_address})
+            async with scanhsi.open_instrument(config) as hsi:
+                plan = hsi.default_plan(lines=20, exposure="10 ms", step=2, pixel_format="Mono8")
+
+                async def lost(device: str, name: str) -> None:
+                    with pytest.raises(scanhsi.ScanhsiError, match=device):
+                        await hsi.scan(plan, tmp_path / name)
+                    assert hsi.lost.keys() == {device}
+                    with pytest.raises(DeviceNotFound, match=device):
+                        await hsi.scan(plan, tmp_path / "not-made.zarr")
+
+                async def whole(name: str) -> None:
+                    report = await hsi.scan(plan, tmp_path / name)
+                    assert (hsi.lost, report.missing, wrong_lines(tmp_path / name)) == ({}, 0, [])
+
+                await whole("before.zarr")
+                await rig.stepper.command("unplug")
+                await lost("actuator", "unplugged.zarr")
+                await rig.stepper.command("plug")
+                await whole("plugged-in.zarr")
+                os.kill(rig.camera.pid, signal.SIGKILL)
+                await lost("camera", "killed.zarr")
+                async with CameraTwin(CameraTwinSettings(scene="testpattern", mirror_file=rig.stepper.mirror_file)):
+                    await whole("started-again.zarr")
+
+    clock.run(main())
+    assert not (tmp_path / "not-made.zarr").exists()
