@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +25,7 @@ def test_stepped_scan_is_exact(
         {"lines": LINES, "mode": "stepped", "step": 2, "exposure": "10 ms", "pixel_format": pixel_format},
         tmp_path / "cube.zarr",
     )
-    record_property("report", report.to_json())
+    record_property("report", json.dumps(report.to_json()))
     assert (report.stored, report.missing) == (LINES, 0), report.missing_reasons
     assert wrong_lines(tmp_path / "cube.zarr") == []
     assert scanhsi.open_cube(tmp_path / "cube.zarr")["cube"].shape == (1088, LINES, 2048)
