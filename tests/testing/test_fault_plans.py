@@ -66,13 +66,17 @@ def test_a_wrapper_has_the_abilities_of_what_is_inside() -> None:
 def test_only_a_witness_that_is_asked_for_keeps_the_pixels() -> None:
     """They take the memory of a frame for each exposure."""
 
+    def witnesses() -> list[Witness]:
+        return [thing for thing in gc.get_objects() if isinstance(thing, Witness)]
+
     def scan(witness: Witness | None) -> list[Witness]:
+        earlier = witnesses()  # of other tests in this process
         config = with_faults(load_instrument("sensors2019", SMALL), Faults(NO_FAULTS), witness)
 
         async def main() -> list[Witness]:
             async with scanhsi.open_instrument(config) as hsi:
                 await hsi.scan(hsi.default_plan(lines=5, exposure="10 ms"), None)
-                return [thing for thing in gc.get_objects() if isinstance(thing, Witness)]
+                return [one for one in witnesses() if all(one is not other for other in earlier)]
 
         return run_virtual(main())
 
