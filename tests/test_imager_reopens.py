@@ -10,6 +10,7 @@ import pytest
 
 import scanhsi
 from scanhsi.clock import now_ns, run_virtual
+from scanhsi.devices import CameraSettings
 from scanhsi.devices.errors import DeviceLost, DeviceNotFound, ScanFailed
 from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi.testing.faults import FaultPlan, Faults
@@ -118,6 +119,26 @@ def test_opening_anew_moves_nothing_and_the_scan_homes() -> None:
             await hsi.scan(hsi.default_plan(lines=LINES), None)
             assert hsi.actuator.homed
             assert witness.moved
+
+    run_virtual(main())
+
+
+@pytest.mark.parametrize("device", ["camera", "actuator"])
+def test_one_that_went_with_nobody_looking_is_back_for_the_first_scan(device: str, tmp_path: Path) -> None:
+    kind, _ = UNPLUGGED[device]
+    plan = FaultPlan.model_validate({"faults": [{"kind": kind, "nth": 0, "for_s": AWAY_S}]})
+    config = with_faults(load_instrument("sensors2019", SMALL), Faults(plan, now_ns))
+
+    async def main() -> None:
+        async with scanhsi.open_instrument(config) as hsi:
+            with pytest.raises(DeviceLost):
+                await (hsi.camera.configure(CameraSettings(0.02)) if device == "camera" else hsi.actuator.home())
+            assert hsi.lost == {}, "nobody was told"
+            with pytest.raises(DeviceNotFound):
+                await hsi.scan(hsi.default_plan(lines=LINES), tmp_path / "cube.zarr")
+            assert not (tmp_path / "cube.zarr").exists()
+            await sleep_until_back()
+            assert (await hsi.scan(hsi.default_plan(lines=LINES), tmp_path / "cube.zarr")).missing == 0
 
     run_virtual(main())
 

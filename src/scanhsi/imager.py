@@ -369,8 +369,9 @@ class Imager:
 
     @asynccontextmanager
     async def _one_scan(self) -> AsyncGenerator[None]:
-        """The devices for one scan, those open again that were lost in an earlier one."""
+        """The devices for one scan, those open again that were lost before."""
         with self._alone("scan"):
+            await self._lost.look()
             await self._lost.reopen()
             try:
                 yield

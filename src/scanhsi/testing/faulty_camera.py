@@ -190,6 +190,7 @@ class _Foretelling(FaultyCamera):
 
 class _Measuring(FaultyCamera):
     async def temperature_c(self) -> float | None:
+        self._link.check(self._name, "temperature")
         return await cast(MeasuresTemperature, self.inner).temperature_c()
 
 
