@@ -16,8 +16,6 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 STORAGE := .venv-storage
 OUT := out
-# Files go to processes in the order given: those that take longest come first.
-SHARED_OUT := --dist loadfile --no-loadscope-reorder
 ZARRITA := tests/interop/node_modules/.package-lock.json
 
 # What each target needs of the system, as Debian packages.
@@ -40,8 +38,9 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
 test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
-	$(BIN)/python -m pytest -m "not soak and not twin" -n 3 $(SHARED_OUT) tests/test_documentation.py tests/service tests/testing tests
-	$(BIN)/python -m pytest -m "twin and not soak" -n 2 $(SHARED_OUT) tests/twins tests
+	# Files go to processes in the order given: those that take longest come first. Twins run in real time and wait more than they compute.
+	$(BIN)/python -m pytest -m "not soak" -n 4 --dist loadfile --no-loadscope-reorder \
+		tests/test_documentation.py tests/twins tests/service tests/testing tests
 
 lint: $(VENV)/.dev $(VENV)/.gi  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .

@@ -1,9 +1,9 @@
 """pytest plugin: tests marked `twin` run in a private network namespace, in a child pytest.
 
 Mark a test (or a module: ``pytestmark = pytest.mark.twin``) and write it as any other: use Aravis in the test's own
-process, fixtures and parameters included. The first marked test of a file starts a child pytest inside a namespace for all
-marked tests of that file; each test's own report comes back and is shown as if it had run here. So files may also be shared out
-among processes (``-n 2 --dist loadfile``): no two see the same network.
+process, fixtures and parameters included. The first marked test starts a child pytest inside a namespace, which runs one
+marked test after the other as it is told; each test's own report comes back and is shown as if it had run here. So tests may
+also be shared out among processes (``-n 2 --dist loadfile``): no two see the same network.
 
 To debug one with --pdb or prints, start pytest itself inside: ``python -m scanhsi_sim.twins.netns python -m pytest ...``.
 What is missing (Aravis, permission) skips the tests; where the variable CI is set it fails them.
@@ -16,8 +16,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
-from pathlib import Path
 from typing import IO, Any
 
 import pytest
@@ -25,14 +25,16 @@ import pytest
 from scanhsi_sim.twins import netns
 
 REQUIREMENTS = "sudo apt install python3-gi gir1.2-aravis-0.8 libsimavr-dev libelf-dev gcc"
-_FD = "SCANHSI_TEST_REPORTS_FD"  # set in the child: where it writes its reports, one JSON object a line
+_FDS = (
+    "SCANHSI_TEST_FDS"  # set in the child: where it reads which test is next, and writes its reports, as lines of JSON
+)
 
 
 class _Child:
-    """The pytest inside the namespace, and the stream of its reports."""
+    """The pytest inside the namespace: runs the tests it is told to, and streams their reports."""
 
-    def __init__(self, config: pytest.Config, file: Path, nodes: list[str]) -> None:
-        self.file = file
+    def __init__(self, config: pytest.Config, files: list[str]) -> None:
+        asked, ask = os.pipe()
         read_end, write_end = os.pipe()
         self.output: IO[str] = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed with the session)
         self.process = subprocess.Popen(
@@ -48,30 +50,30 @@ class _Child:
                 "-p",
                 "no:hypothesispytest",  # takes two seconds to import
                 "--capture=fd",
-                *nodes,
+                *files,
             ],
             cwd=config.rootpath,
-            env={**os.environ, _FD: str(write_end)},
-            pass_fds=[write_end],
+            env={**os.environ, _FDS: f"{asked},{write_end}"},
+            pass_fds=[asked, write_end],
             stdin=subprocess.DEVNULL,
             stdout=self.output,
             stderr=subprocess.STDOUT,
         )
+        os.close(asked)
         os.close(write_end)
-        self._reports = os.fdopen(read_end)
-        self._unfinished = set(nodes)
+        self._ask, self._reports = os.fdopen(ask, "w"), os.fdopen(read_end)
 
-    def reports(self, node: str) -> Iterator[dict[str, Any]]:
-        """The serialized reports of one test, as they come; ends early when the child does."""
+    def run(self, node: str, following: str | None) -> Iterator[dict[str, Any]]:
+        """Run one test; its serialized reports, as they come. They end early when the child does."""
+        with suppress(BrokenPipeError):
+            self._ask.write(json.dumps([node, following]) + "\n")
+            self._ask.flush()
         for line in self._reports:
             data = json.loads(line)
-            if data["nodeid"] != node:
-                continue
             if isinstance(data["longrepr"], list):  # a skip's place and reason: JSON knows no tuples
                 data["longrepr"] = tuple(data["longrepr"])
             yield data
             if data["when"] == "teardown":
-                self._unfinished.discard(node)
                 return
 
     def last_words(self) -> str:
@@ -82,8 +84,10 @@ class _Child:
 
     def close(self) -> None:
         """End the child, unless it has ended by itself, and free what it held."""
+        with suppress(BrokenPipeError):
+            self._ask.close()  # nothing more to run
         try:
-            self.process.wait(timeout=0 if self._unfinished else 30)
+            self.process.wait(timeout=30)
         except subprocess.TimeoutExpired:
             self.process.terminate()
         self.process.wait(timeout=10)
@@ -113,7 +117,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     if not _runs_elsewhere(item):
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for report in _reports_from_child(item):
+    for report in _reports_from_child(item, nextitem):
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     # the fixtures of unmarked tests that ran here before, if nobody needs them any more
@@ -121,20 +125,21 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     return True
 
 
-def _reports_from_child(item: pytest.Item) -> Iterator[pytest.TestReport]:
+def _reports_from_child(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[pytest.TestReport]:
     config = item.config
-    child = config.stash.get(_child, None)
-    if child is None or child.file != item.path:
-        if child is not None:
-            child.close()
-        nodes = [i.nodeid for i in item.session.items if i.path == item.path and _runs_elsewhere(i)]
-        config.stash[_child] = child = _Child(config, item.path, nodes)
+    if _child not in config.stash:
+        files = dict.fromkeys(str(i.path) for i in item.session.items if _runs_elsewhere(i))
+        config.stash[_child] = _Child(config, list(files))
+    child = config.stash[_child]
+    following = nextitem.nodeid if nextitem is not None and _runs_elsewhere(nextitem) else None
     finished = False
-    for data in child.reports(item.nodeid):
+    for data in child.run(item.nodeid, following):
         yield config.hook.pytest_report_from_serializable(config=config, data=data)
         finished = data["when"] == "teardown"
-    if not finished:
+    if not finished:  # the next test gets a new child
         text = child.last_words()
+        child.close()
+        del config.stash[_child]
         location = (str(item.path), 0, text)
         outcome, why = ("failed", text) if "CI" in os.environ or "code 77" not in text else ("skipped", location)
         yield pytest.TestReport(item.nodeid, item.location, {}, outcome, why, "setup")
@@ -158,22 +163,33 @@ def _missing() -> str:
     return "" if shutil.which("gcc") else "no gcc"
 
 
-class _Reporter:
-    """In the child: hands each report to the pytest outside."""
+class _Server:
+    """In the child: runs the tests that the pytest outside asks for, and hands it each report."""
 
-    def __init__(self, config: pytest.Config, fd: int) -> None:
-        self.config, self.fd = config, fd
+    def __init__(self, config: pytest.Config, asked: int, reports: int) -> None:
+        self.config, self.asked, self.reports = config, asked, reports
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool | None:
+        """Instead of all that was collected."""
+        if session.testsfailed:
+            return None  # a file cannot be imported: pytest says so and ends
+        items = {item.nodeid: item for item in session.items}
+        with os.fdopen(self.asked) as lines:
+            for node, following in map(json.loads, lines):
+                item = items[node]
+                item.ihook.pytest_runtest_protocol(item=item, nextitem=items.get(following))
+        return True
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         data = self.config.hook.pytest_report_to_serializable(config=self.config, report=report)
-        os.write(self.fd, json.dumps(data).encode() + b"\n")
+        os.write(self.reports, json.dumps(data).encode() + b"\n")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Report to the pytest outside, if this is the child."""
-    fd = os.environ.pop(_FD, None)
-    if fd is not None:
-        config.pluginmanager.register(_Reporter(config, int(fd)))
+    """Serve the pytest outside, if this is the child."""
+    fds = os.environ.pop(_FDS, None)
+    if fds is not None:
+        config.pluginmanager.register(_Server(config, *map(int, fds.split(","))))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
