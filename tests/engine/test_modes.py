@@ -206,6 +206,25 @@ def test_a_mirror_that_falls_behind_loses_no_line(stall_ms: float) -> None:
         assert np.all(sink.pixels[line] == 10 + line), line
 
 
+@pytest.mark.parametrize("lines", [1, 2, 5])
+def test_a_short_sweep_that_begins_late_loses_no_line(lines: int) -> None:
+    """It is over before its first frame is here, so the mirror cannot be asked any more: the exposures are counted."""
+    bench, sink = Bench(stalls={0: 700}, transfer_ms=120), MemorySink()
+    report = scan(Mode.CONTINUOUS, bench, sink, lines=lines, first=10)
+    assert report.missing_reasons == {}
+    for line in range(lines):
+        assert np.all(sink.pixels[line] == 10 + line), line
+
+
+@pytest.mark.parametrize("ignored", [{0}, {0, 1}, {2}])
+def test_pulses_ignored_in_a_short_sweep_shift_no_line(ignored: set[int]) -> None:
+    bench, sink = Bench(ignore=frozenset(ignored), transfer_ms=120), MemorySink()
+    report = scan(Mode.CONTINUOUS, bench, sink, lines=4, first=10)
+    assert set(report.missing_reasons) == ignored
+    for line in set(range(4)) - ignored:
+        assert np.all(sink.pixels[line] == 10 + line), line
+
+
 def test_lost_pulses_and_a_mirror_that_falls_behind() -> None:
     bench, sink = Bench(stalls={4: 50}, ignore=frozenset({6, 7})), MemorySink()
     report = scan(Mode.CONTINUOUS, bench, sink, first=10)

@@ -28,7 +28,7 @@ from scanhsi.engine.receive import receive_exposed, write_lines
 from scanhsi.engine.recovery import recover
 from scanhsi.engine.safety import leave_safe, make_safe
 from scanhsi.engine.scan import CAMERA_BUFFERS, FLUSH, Scan
-from scanhsi.engine.sweep import Places, passing_ns, receive_sweep
+from scanhsi.engine.sweep import Events, Places, passing_ns, receive_sweep
 
 TakeLeg = Callable[[], Coroutine[None, None, None]]
 
@@ -148,10 +148,11 @@ async def take_sweep(scan: Scan, trigger: Trigger, period_s: float) -> None:
     passing = passing_ns(actuator.run_up_s(sweep))
     if scan.begun_ns is None:
         scan.begun_ns = passing
-    places = Places(sweep, scan.leg.first, trigger, passing, partial(_locate, scan))
+    events = Events(scan)
+    places = Places(sweep, scan.leg.first, trigger, passing, partial(_locate, scan), events.reach)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(sweep_past(scan, sweep), name="control")
-        tasks.create_task(receive_sweep(scan, sweep, places), name="receive")
+        tasks.create_task(receive_sweep(scan, sweep, events, places), name="receive")
 
 
 def plan_sweep(scan: Scan, trigger: Trigger, period_s: float) -> Sweep:

@@ -2,8 +2,9 @@
 
 The engine does not trigger these exposures, so a pulse that the camera ignored, because it was still busy, leaves no trace in the
 frame numbers: every later frame would be stored one line too early. The camera's time stamps raise the doubt: a frame that comes
-three quarters of a period or more after its due time. Then the actuator is asked where the mirror is, which settles it. In the end
-frames and lost pulses must make up exactly the lines of the sweep, or the scan fails rather than put pixels in the wrong place.
+three quarters of a period or more after its due time. Then the actuator is asked where the mirror is, which settles it. Where that
+is past its end already, the exposures are counted: if they are as many as the pulses, none was ignored. In the end frames and lost
+pulses must make up exactly the lines of the sweep, or the scan fails rather than put pixels in the wrong place.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+from collections import deque
 from collections.abc import Awaitable, Callable
 
 from scanhsi.clock import now_ns, sleep_until_ns
-from scanhsi.devices import Frame, FrameEvent, FrameGap, FrameStream, Sighting, Sweep, Trigger
+from scanhsi.devices import Frame, FrameEvent, FrameGap, Sighting, Sweep, Trigger
 from scanhsi.devices.errors import DeviceTimeout, FrameLost, ProtocolError
 from scanhsi.engine.control import as_sweeping
 from scanhsi.engine.deadlines import Part
@@ -29,6 +31,40 @@ _GUARD = 0.15
 """A sighting this close to a line, in periods, could be on either side of it: look again."""
 
 
+class Events:
+    """The events of a leg's camera in order; those to come can be looked at before they are taken."""
+
+    def __init__(self, scan: Scan) -> None:
+        self._scan = scan
+        self._stream = scan.camera.frames()
+        self._ahead: deque[FrameEvent] = deque()
+
+    async def next(self) -> FrameEvent | None:
+        """The next event; None when there are no more."""
+        return self._ahead.popleft() if self._ahead else await self._hear()
+
+    async def reach(self, count: int, taken: int) -> bool:
+        """Whether there are ``count`` exposures in all, when those before ``taken`` are known: waits until the mirror stands."""
+        reached = max([taken, *map(past, self._ahead)])
+        if reached < count:
+            await self._scan.leg.motion_over.wait()
+        with contextlib.suppress(TimeoutError):
+            while reached < count:
+                event = await listen(self._hear, self._scan.settling_s)
+                if event is None:
+                    break
+                self._ahead.append(event)
+                reached = max(reached, past(event))
+        return reached >= count
+
+    async def _hear(self) -> FrameEvent | None:
+        try:
+            return await anext(self._stream, None)
+        except Exception as error:
+            self._scan.watch.blame(Part.CAMERA, error)
+            raise
+
+
 class Places:
     """Gives each exposure its line.
 
@@ -38,10 +74,17 @@ class Places:
         trigger: LINE counts pulses; FREE_RUN counts the camera's own beats from the moment the mirror passes the first line.
         passing_ns: When the mirror passes the first line, as announced.
         locate: Asks the actuator where the mirror is, in doubt.
+        reach: Tells whether there are so many exposures in all, when those before another number are known.
     """
 
     def __init__(
-        self, sweep: Sweep, first: int, trigger: Trigger, passing_ns: int, locate: Callable[[], Awaitable[Sighting]]
+        self,
+        sweep: Sweep,
+        first: int,
+        trigger: Trigger,
+        passing_ns: int,
+        locate: Callable[[], Awaitable[Sighting]],
+        reach: Callable[[int, int], Awaitable[bool]],
     ) -> None:
         self._sweep = sweep
         self._first = first
@@ -49,6 +92,7 @@ class Places:
         self._trigger = trigger
         self._passing_ns = passing_ns
         self._locate = locate
+        self._reach = reach
         self._previous: Frame | None = None
         self._shift = 0
 
@@ -101,7 +145,8 @@ class Places:
             seen = await self._locate()
             passed = math.floor((seen.step - self._sweep.first) / self._sweep.every)
             if passed >= self._sweep.count:
-                return None
+                none_lost = await self._reach(self._sweep.count - self._shift, past(frame))
+                return frame.index + self._shift if none_lost else None
             periods = (seen.at_ns - frame.exposure_start_ns) / self._period_ns
             guard = _GUARD + seen.uncertain_ns / self._period_ns
             if guard < periods % 1 < 1 - guard:
@@ -110,13 +155,12 @@ class Places:
         return None
 
 
-async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
+async def receive_sweep(scan: Scan, sweep: Sweep, events: Events, places: Places) -> None:
     """Take the frames of a sweep until each line has one or is known to be lost."""
-    stream = scan.camera.frames()
     line, end = scan.leg.first, scan.course.lines
     behind_gap = False
     while line < end:
-        event = await _next(scan, stream, sweep, line)
+        event = await _next(scan, events, sweep, line)
         if event is None:
             if not scan.leg.cut:
                 _give_up(scan, sweep, line)
@@ -136,7 +180,7 @@ async def receive_sweep(scan: Scan, sweep: Sweep, places: Places) -> None:
                 behind_gap = False
             line = await _take_or_drop(scan, event, line)
     if places.shifted:
-        await _refuse_surplus(scan, stream)
+        await _refuse_surplus(scan, events)
 
 
 async def _take_or_drop(scan: Scan, frame: Frame, line: int) -> int:
@@ -186,15 +230,12 @@ def _give_up(scan: Scan, sweep: Sweep, line: int) -> None:
     _lose(scan, range(line, scan.course.lines), "no frame came for the trigger of this line")
 
 
-async def _next(scan: Scan, stream: FrameStream, sweep: Sweep, line: int) -> FrameEvent | None:
+async def _next(scan: Scan, events: Events, sweep: Sweep, line: int) -> FrameEvent | None:
     """The next event; None when the camera is silent beyond its deadline, or disarmed because a stop was asked for."""
     try:
-        event = await listen(lambda: anext(stream, None), _patience_s(scan, sweep, line))
+        event = await listen(events.next, _patience_s(scan, sweep, line))
     except TimeoutError:
         return None
-    except Exception as error:
-        scan.watch.blame(Part.CAMERA, error)
-        raise
     scan.watch.heard(Part.CAMERA, "frame", line)
     return event
 
@@ -207,12 +248,12 @@ def _patience_s(scan: Scan, sweep: Sweep, line: int) -> float:
     return first_s + 2 * sweep.period_s + scan.deadlines.frame_s
 
 
-async def _refuse_surplus(scan: Scan, stream: FrameStream) -> None:
+async def _refuse_surplus(scan: Scan, events: Events) -> None:
     """A frame more than there are lines proves that a pulse was taken for lost that was not."""
     await scan.leg.motion_over.wait()
     try:
         async with asyncio.timeout(scan.settling_s):
-            surplus = await anext(stream, None)
+            surplus = await events.next()
     except TimeoutError:
         return
     if isinstance(surplus, Frame):

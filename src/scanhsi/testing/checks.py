@@ -30,8 +30,6 @@ SLOTS: Final = 3
 
 _SMALL_S: Final = 0.75
 """A delay that no deadline of the engine can mind."""
-_SHORT_SWEEP: Final = 8
-"""So many lines may be over before the frame of the first one is there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +141,6 @@ def _fails_needlessly(outcome: Outcome) -> Iterator[str]:
     """What is harmless must not end a scan, nor cost a line."""
     if outcome.cancellations or any(not _harmless(happened.fault) for happened in outcome.faults.happened):
         return
-    short = outcome.plan.mode is Mode.CONTINUOUS and outcome.plan.lines <= _SHORT_SWEEP
-    if short and Kind.MOVE_SLOW in outcome.faults.kinds():
-        return  # it begins late, which looks like lost pulses: the mirror is past its end when it is asked where it is
     if outcome.error is not None:
         yield f"{type(outcome.error).__name__}: {outcome.error}"
     elif outcome.report is not None and outcome.report.missing:
@@ -357,7 +352,7 @@ _REASONS: Final = {
     "did not arrive within": _NO_WORD,
     "lost without a word": _NO_WORD,
     "no frame came": _NO_WORD,
-    "camera was still busy": _NO_WORD | {Kind.METADATA_STALE, Kind.MOVE_SLOW},
+    "camera was still busy": _NO_WORD | {Kind.METADATA_STALE},
     "no free": {Kind.WRITE_SLOW, Kind.FRAME_LATE, Kind.FRAMES_SWAPPED} | _STALLED,  # frames that come all at once
     "while the sensor was busy": _STALLED,
     "memory is full": _STALLED,
