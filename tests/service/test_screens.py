@@ -136,6 +136,29 @@ def test_every_screen_can_be_read_and_touched(browser: Any, service: str, size: 
             assert page.locator(".badge").first.is_visible(), screen
 
 
+LOSE = """() => import('/js/store.js').then(({ state, tell }) => {
+  state.info = { ...state.info, lost: { camera: 'camera aravis 192.168.1.20: control of it was lost.' } };
+  tell('state', state.info); })"""
+
+
+def test_what_is_lost_is_seen_and_opened_anew_with_a_finger(browser: Any, service: str) -> None:
+    with page_at(browser, service, "touch") as page:
+        _take_control(page)
+        _go(page, "system")
+        again = page.get_by_role("button", name="Open anew")
+        assert again.is_hidden(), "all is well"
+        page.evaluate(LOSE)
+        page.locator("#bar").get_by_text("camera lost").wait_for()
+        page.locator(".note.bad").get_by_text("control of it was lost").wait_for()
+        assert page.evaluate(LOW_CONTRAST) == page.evaluate(SMALL_TARGETS) == []
+        _picture(page, "touch-lost")
+        with page.expect_response("**/api/v1/devices/reopen") as answer:
+            again.click()
+        assert answer.value.json()["lost"] == {}
+        again.wait_for(state="hidden")
+        page.get_by_role("button", name="Release").click()
+
+
 def test_stop_needs_no_control_and_ends_a_scan(browser: Any, service: str) -> None:
     with page_at(browser, service, "touch") as page, page_at(browser, service, "desktop") as other:
         _take_control(page)
