@@ -12,6 +12,7 @@ import pytest
 import scanhsi
 from scanhsi.clock import run_virtual
 from scanhsi.cube.reader import read_records
+from scanhsi.devices import ShowsScenes
 from scanhsi.devices.errors import ConfigError, CubeError, NotACube
 from scanhsi.engine import OnFault, ScanControl
 from scanhsi.instrument import InstrumentConfig, load_instrument
@@ -116,6 +117,21 @@ def test_another_instrument_is_refused_with_each_difference(
     assert words in str(refused.value)
     assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
     run_virtual(go_on(path))  # and nothing is locked
+
+
+def test_another_scene_before_the_camera_is_told_and_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cube.zarr"
+    run_virtual(begin(path, 3.0))
+    assert scanhsi.open_cube(path).attrs["devices"]["camera"]["scene"] == "testpattern"
+
+    async def main() -> None:
+        async with scanhsi.open_instrument(small()) as hsi:
+            assert isinstance(hsi.camera, ShowsScenes)
+            await hsi.camera.show("white")
+            await hsi.resume(path)
+
+    with pytest.raises(ConfigError, match="device camera.scene: 'testpattern' when the cube was begun, 'white' now"):
+        run_virtual(main())
 
 
 def test_another_plan_is_refused(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 from functools import lru_cache
 from threading import Lock
 from typing import TypeVar
@@ -92,7 +91,7 @@ class SimulatedCamera:
         self._info = CameraInfo(
             name=self._name,
             vendor="scanhsi",
-            model=f"simulated camera, scene {options.scene}",
+            model="simulated camera",
             serial=f"seed {options.seed}",
             firmware=f"delay profile {self._profile.name} ({self._profile.mark})",
             bands=options.bands,
@@ -245,7 +244,6 @@ class SimulatedCamera:
             )
         self._options = self._options.model_copy(update={"scene": scene})
         self._shown_s = (now_ns() - self._epoch_ns) * 1e-9
-        self._info = replace(self.info, model=f"simulated camera, scene {scene}")
         if not is_virtual():
             await run_blocking(0.0, self._load, self._options.scene)
 

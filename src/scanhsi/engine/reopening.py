@@ -124,7 +124,5 @@ def check_identity(before: CameraInfo | ActuatorInfo | LightInfo, now: CameraInf
 
 
 def _identity(info: CameraInfo | ActuatorInfo | LightInfo) -> tuple[str, ...]:
-    """A camera's vendor gives each a serial number; the model of a simulated one changes with what it looks at."""
-    if isinstance(info, CameraInfo):
-        return info.vendor, info.serial, info.firmware
-    return info.model, info.firmware
+    told = (info.model, info.firmware)
+    return (*told, info.vendor, info.serial) if isinstance(info, CameraInfo) else told

@@ -20,7 +20,7 @@ _MAY_DIFFER: Final = frozenset({"name", "description", "scan", "limits"})
 """Of an instrument file: what says nothing of the lines."""
 _HOW: Final = frozenset({"on_fault", "line_retries", "retries", "recover_within_s"})
 """Of a plan: what says nothing of the lines."""
-_IDENTITY: Final = ("driver", "vendor", "model", "serial", "firmware", "steps_per_revolution", "simulated")
+_IDENTITY: Final = ("driver", "vendor", "model", "serial", "firmware", "steps_per_revolution", "simulated", "scene")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +38,12 @@ class Begun:
     attributes: Mapping[str, Any]
     config: InstrumentConfig
     plan: ScanPlan
+
+    @property
+    def of_the_scan(self) -> dict[str, Any]:
+        """What the cube says of itself whichever session writes it."""
+        names = ("plan", "instrument", "simulated", "target")
+        return {name: self.attributes[name] for name in names if name in self.attributes}
 
     def differences(self, config: InstrumentConfig, plan: ScanPlan, devices: Mapping[str, Any]) -> list[str]:
         """What is not as it was when the cube was begun: one sentence each, none where the scan may go on.

@@ -18,6 +18,7 @@ from scanhsi.devices import (
     Light,
     LightInfo,
     Range,
+    ShowsScenes,
     check_settings,
 )
 from scanhsi.devices.errors import ConfigError, DeviceError, DeviceTimeout
@@ -112,12 +113,16 @@ class Instrument:
             "name": self.config.name,
             "description": self.config.description,
             "simulated": self.simulated,
-            "camera": {"driver": self.config.camera.driver, **_plain(self.camera_info)},
+            "camera": {"driver": self.config.camera.driver, **_plain(self.camera_info), **self._scene()},
             "actuator": {"driver": self.config.actuator.driver, **_plain(self.actuator_info)},
         }
         if self.config.light is not None:
             described["light"] = {"driver": self.config.light.driver, **_plain(self.light_info)}
         return described
+
+    def _scene(self) -> dict[str, Any]:
+        """What a simulated camera looks at now: another scene than the file's may have been put before it."""
+        return {"scene": self.camera.scene} if isinstance(self.camera, ShowsScenes) else {}
 
 
 async def _connect_all(devices: Mapping[str, Camera | Actuator | Light]) -> None:
