@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import platform
 from collections.abc import AsyncGenerator, Callable, Generator
 from contextlib import asynccontextmanager, contextmanager, nullcontext
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -17,13 +15,10 @@ from pydantic import ValidationError
 from structlog.contextvars import bind_contextvars, unbind_contextvars
 
 from scanhsi import clock
-from scanhsi.calibration.online import online_quicklook
 from scanhsi.clock import Granted, RealTime
-from scanhsi.cube import Binning, CubeSpec, CubeWriter, DiscardSink, LineSink
-from scanhsi.cube.destination import Destination
+from scanhsi.cube import CubeSpec, CubeWriter, DiscardSink
 from scanhsi.cube.places import destination_of
-from scanhsi.cube.slow import SlowSink
-from scanhsi.cube.watched import Watch, WatchedSink
+from scanhsi.cube.watched import Watch
 from scanhsi.devices import Actuator, Camera, CameraSettings, Light, PixelFormat, sensor_temperature_c
 from scanhsi.devices.errors import ConfigError, DeviceBusy, ScanhsiError
 from scanhsi.engine import Course, Mode, Progress, ScanControl, ScanPlan, ScanReport, run_scan
@@ -32,7 +27,7 @@ from scanhsi.engine.reopening import DeviceRole
 from scanhsi.engine.resume import Begun, begun
 from scanhsi.instrument import Instrument, InstrumentConfig, load_instrument
 from scanhsi.instrument.problems import problems_of
-from scanhsi.instrument.timing import storing_of
+from scanhsi.output import cube_spec, new_writer, slowed, watched
 
 if TYPE_CHECKING:
     from scanhsi.characterise.calibrator import Calibrator
@@ -197,14 +192,14 @@ class Imager:
                 spec = None if place is None else self._spec(course, plan, granted, target)
                 if spec is not None and (warmth := await sensor_temperature_c(self.camera)) is not None:
                     spec = replace(spec, attributes={**spec.attributes, "sensor_temperature_c": warmth})
-                sink = DiscardSink() if place is None or spec is None else self._writer(place, spec)
-                sink = self._slowed(sink, plan)
+                sink = DiscardSink() if place is None or spec is None else new_writer(self.config, place, spec)
+                sink = slowed(sink, self.config, plan)
                 async with nullcontext() if process is None else process.beside(spec, output) as processing:
                     report = await run_scan(
                         course,
                         self.camera,
                         self.actuator,
-                        sink if watch is None else _watched(sink, watch, course),
+                        sink if watch is None else watched(sink, watch, course),
                         limits=limits,
                         on_progress=on_progress,
                         stop=stop,
@@ -250,16 +245,16 @@ class Imager:
             course = self.course(plan)
             with clock.real_time(real_time) as granted:
                 spec = self._spec(course, plan, granted, None)
-                attributes = {**spec.attributes, **_of_the_scan(before)}
+                attributes = {**spec.attributes, **before.of_the_scan}
                 durability = self.config.storage.durability
                 place = destination_of(cube, spool=spool)
                 writer = CubeWriter.resume(place, replace(spec, attributes=attributes), durability=durability)
-                sink = self._slowed(writer, plan)
+                sink = slowed(writer, self.config, plan)
                 report = await run_scan(
                     course,
                     self.camera,
                     self.actuator,
-                    sink if watch is None else _watched(sink, watch, course),
+                    sink if watch is None else watched(sink, watch, course),
                     limits=self.instrument.actuator_info.limits,
                     on_progress=on_progress,
                     control=control,
@@ -310,7 +305,7 @@ class Imager:
         course = self.course(plan)
         while True:
             async with self._one_scan():
-                sink = _watched(DiscardSink(capacity=1), watch, course, period_s)  # one buffer: no frame is shown late
+                sink = watched(DiscardSink(capacity=1), watch, course, period_s)  # one buffer: no frame is shown late
                 await run_scan(
                     course,
                     self.camera,
@@ -379,68 +374,6 @@ class Imager:
                 self._lost.note(error)
                 raise
 
-    def _slowed(self, sink: LineSink, plan: ScanPlan) -> LineSink:
-        """The sink, taking the time that the delays of a simulated instrument say."""
-        storing = storing_of(self.config)
-        if storing is None:
-            return sink
-        return SlowSink(sink, lambda line: storing.delay_ns("T_store", line, pixel_format=plan.pixel_format))
-
     def _spec(self, course: Course, plan: ScanPlan, granted: Granted, target: str | None) -> CubeSpec:
-        settings, roi = course.settings, course.settings.roi
-        assert roi is not None, "Instrument.check fills the ROI in"
-        spectral, storage = self.config.spectral, self.config.storage
-        wavelength_nm = spectral.wavelengths_nm(roi.bands, roi.band_offset) if spectral else None
-        with _refused_as_config():
-            return CubeSpec(
-                lines=course.lines,
-                bands=roi.bands,
-                samples=roi.samples,
-                dtype=settings.pixel_format.dtype,
-                significant_bits=settings.pixel_format.bits,
-                attributes={
-                    "run": self.run,
-                    "simulated": self.instrument.simulated,
-                    "plan": plan.model_dump(mode="json"),
-                    "instrument": self.config.model_dump(mode="json"),
-                    "devices": self.instrument.describe(),
-                    "real_time": asdict(granted),
-                    **({} if target is None else {"target": target}),
-                    "versions": {"scanhsi": version("scanhsi"), "python": platform.python_version()},
-                },
-                wavelength_nm=wavelength_nm,
-                binning=Binning(storage.bin_bands, storage.bin_samples),
-                quicklook=online_quicklook(roi.bands, wavelength_nm) if storage.quicklook else None,
-            )
-
-    def _writer(self, place: Destination, spec: CubeSpec) -> LineSink:
-        storage = self.config.storage
-        with _refused_as_config():
-            return CubeWriter(
-                place,
-                spec,
-                lines_per_shard=storage.lines_per_shard,
-                codec=storage.codec,
-                durability=storage.durability,
-            )
-
-
-def _of_the_scan(before: Begun) -> dict[str, Any]:
-    """What a cube says of itself whichever session writes it."""
-    return {
-        key: before.attributes[key] for key in ("plan", "instrument", "simulated", "target") if key in before.attributes
-    }
-
-
-@contextmanager
-def _refused_as_config() -> Generator[None]:
-    try:
-        yield
-    except ValueError as error:
-        raise ConfigError("the cube cannot be stored as asked:", [str(error)]) from error
-
-
-def _watched(sink: LineSink, watch: Watch, course: Course, period_s: float = 0.0) -> WatchedSink:
-    settings = course.settings
-    assert settings.roi is not None, "Instrument.check fills the ROI in"
-    return WatchedSink(sink, watch, settings.roi.shape, settings.pixel_format, period_s)
+        session = {"run": self.run, "real_time": asdict(granted), **({} if target is None else {"target": target})}
+        return cube_spec(self.instrument, course, plan, session)
