@@ -1,8 +1,8 @@
 """The conversation with the controller over one open port: requests, retries and events.
 
 Rules (docs/reference/stepper-protocol.md): one request on the wire at a time; a retry keeps its sequence number, so that the
-controller executes nothing twice; after a BOOT nothing that was asked before is ever sent again. Nothing here raises inside
-a callback of the event loop: what cannot be understood is counted.
+controller executes nothing twice; after a BOOT nothing that was asked before is ever sent again. What was damaged, either way, is
+asked for again at once. Nothing here raises inside a callback of the event loop: what cannot be understood is counted.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ from scanhsi_stepper.protocol import (
     encode,
     next_seq,
     parse,
+)
+
+_REPLY_NS = (
+    2_000_000  # no request is understood and answered sooner: with less time left there is no use in asking again
 )
 
 
@@ -65,18 +69,30 @@ class Arrived:
 
 @dataclass(slots=True)
 class Running:
-    """A motion under way: its request, when it was asked for, when that was confirmed (loop ns), and its end."""
+    """A motion under way.
+
+    Attributes:
+        seq: Of its request.
+        commanded_ns: When it was asked for; loop clock.
+        end: Its end.
+        confirmed_ns: When the request was confirmed; loop clock.
+        news: Set when it has ended, or a damaged line may have said so.
+    """
 
     seq: int
     commanded_ns: int
     end: asyncio.Future[Arrived]
     confirmed_ns: int = 0
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def __post_init__(self) -> None:
+        self.end.add_done_callback(lambda _: self.news.set())
 
 
 @dataclass(slots=True)
 class _Pending:
     seq: int
-    answer: asyncio.Future[Ok | Err | Nak]
+    answer: asyncio.Future[Ok | Err | Nak | BadLine]
 
 
 def _random_seq() -> int:
@@ -91,7 +107,7 @@ class StepperLink(asyncio.Protocol):
     Attributes:
         port: Name for messages.
         reply_timeout_s: Time for one reply.
-        attempts: How often a request is sent.
+        attempts: How often a request is sent; more often within the time for all these replies, where only damaged ones come.
         on_boot: Called when the controller has restarted.
         counters: What happened on the line.
         lost: Set once the connection is closed or gone.
@@ -177,23 +193,29 @@ class StepperLink(asyncio.Protocol):
         return self._seq
 
     async def _exchange(self, seq: int, command: str, attempts: int) -> tuple[str, ...]:
-        line = encode(seq, command)
-        for attempt in range(attempts):
-            self.counters.resends += attempt > 0
-            answer = await self._send_once(seq, line)
+        line, limit_ns = encode(seq, command), round(self.reply_timeout_s * 1e9)
+        began, sent, boots = now_ns(), 0, self.counters.boots
+        until = began + attempts * limit_ns
+        while sent < attempts or until - now_ns() > _REPLY_NS:
+            self.counters.resends += sent > 0
+            wait_ns = limit_ns if sent < attempts else min(limit_ns, until - now_ns())
+            answer = await self._send_once(seq, line, wait_ns * 1e-9)
+            sent += 1
             if isinstance(answer, Err):
                 raise reply_error(answer.code, self.port, command)
             if isinstance(answer, Ok):
                 return answer.words
+            if self.counters.boots != boots:  # its BOOT came in one breath with a damaged line
+                raise boot_error(self.port)
         raise DeviceTimeout(
-            f"no answer to {attempts} attempts ({self.counters.bad_lines} damaged lines so far).",
+            f"no answer to {sent} attempts ({self.counters.bad_lines} damaged lines so far).",
             device=device_name(self.port),
             operation=command,
-            waited_s=attempts * self.reply_timeout_s,
+            waited_s=(now_ns() - began) * 1e-9,
         )
 
-    async def _send_once(self, seq: int, line: bytes) -> Ok | Err | Nak | None:
-        """One attempt: the answer, a NAK, or None after the reply timeout."""
+    async def _send_once(self, seq: int, line: bytes, limit_s: float) -> Ok | Err | Nak | BadLine | None:
+        """One attempt: the answer, word that something was damaged, or None after ``limit_s``."""
         transport = self._transport
         if transport is None or transport.is_closing():  # a write would vanish in silence
             raise lost_error(self._lost_cause, device_name(self.port))
@@ -201,7 +223,7 @@ class StepperLink(asyncio.Protocol):
         self._pending = pending
         transport.write(line)
         try:
-            async with asyncio.timeout(self.reply_timeout_s):
+            async with asyncio.timeout(limit_s):
                 return await pending.answer
         except TimeoutError:
             return None
@@ -228,8 +250,17 @@ class StepperLink(asyncio.Protocol):
                 self.on_boot()
             case BadLine():
                 self.counters.bad_lines += 1
+                self._doubt(message)
             case Noise():
                 self.counters.noise += 1
+
+    def _doubt(self, damaged: BadLine) -> None:
+        """It was the answer, or else the end of a motion: let those who wait ask. If it was not, they hear it twice."""
+        if self._pending and not self._pending.answer.done():
+            self._pending.answer.set_result(damaged)
+        elif not self._pending:
+            for running in self._running.values():
+                running.news.set()
 
     def _answer(self, message: Ok | Err | Nak, seq: int) -> None:
         pending = self._pending

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from dataclasses import dataclass
 
 from scanhsi.clock import now_ns, sleep_until_ns
@@ -11,7 +12,7 @@ from scanhsi_stepper.errors import device_name
 from scanhsi_stepper.link import Running, StepperLink
 from scanhsi_stepper.protocol import Status
 
-_POLL_S = 0.5  # how often a motion that should end by itself is asked about
+_POLL_NS = 500_000_000  # how often a motion that should end by itself is asked about
 _STOP_POLL_S = 0.02
 _STOP_ATTEMPTS = 3  # against restarts of the controller in between
 _WIRE_S = 10 / 115_200  # one byte
@@ -44,8 +45,8 @@ class Finished:
 async def run_motion(link: StepperLink, command: str, expected_s: float, margin_s: float) -> Finished:
     """Begin a motion and wait for its end.
 
-    A lost DONE is made up for by asking: soon after `expected_s` (its duration, or a bound of it), and every half second.
-    `margin_s` after that the motor is stopped.
+    A lost DONE is made up for by asking: when a damaged line has come, soon after `expected_s` (its duration, or a bound of it),
+    and every half second. `margin_s` after that the motor is stopped.
 
     Raises:
         DeviceTimeout: It did not end in time; it was told to stop.
@@ -69,10 +70,13 @@ async def run_motion(link: StepperLink, command: str, expected_s: float, margin_
 
 async def _end_of(link: StepperLink, running: Running, expected_s: float, margin_s: float) -> Finished | None:
     deadline = running.confirmed_ns + round((expected_s + margin_s) * 1e9)
-    patience_s = min(_POLL_S, expected_s + link.reply_timeout_s)
-    while (left_ns := deadline - now_ns()) > 0:
-        await asyncio.wait({running.end}, timeout=min(patience_s, left_ns / 1e9))  # does not cancel the future
-        patience_s = _POLL_S
+    due = now_ns() + round((expected_s + link.reply_timeout_s) * 1e9)
+    while (left_ns := deadline - (now := now_ns())) > 0:
+        patience_ns = min(left_ns, due - now if due > now else _POLL_NS, _POLL_NS)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(patience_ns * 1e-9):
+                await running.news.wait()
+        running.news.clear()
         status = None if running.end.done() else await read_status(link)
         if running.end.done():
             return _from_event(running)

@@ -47,7 +47,13 @@ class StepperOptions(BaseModel):
     reply_timeout_s: float = Field(
         default=0.25, gt=0, le=10, description="Time for one reply before it is asked for again."
     )
-    reply_attempts: int = Field(default=4, ge=1, le=100, description="How often a request is sent before giving up.")
+    reply_attempts: int = Field(
+        default=4,
+        ge=1,
+        le=100,
+        description="How often a request is sent into silence before giving up; damaged ones are sent again at once, as often as "
+        "the time of these attempts allows.",
+    )
     start_timeout_s: float = Field(
         default=2.5, gt=0, le=60, description="Time for the first answer: opening the port restarts an Arduino."
     )

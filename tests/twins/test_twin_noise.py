@@ -82,13 +82,13 @@ def output(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize(
-    ("on_fault", "attempts", "lines"), [("retry", 4, min(LINES, 600)), ("retry", 30, LINES), ("skip", 30, LINES)]
+    ("on_fault", "attempts", "lines"), [("retry", 2, min(LINES, 600)), ("retry", 30, LINES), ("skip", 30, LINES)]
 )
 def test_a_long_scan_over_bad_cables(on_fault: str, attempts: int, lines: int, output: Path) -> None:
     """No stored line is wrong, each exposure is a line, a missing line or a line retaken, and nothing grows.
 
-    A driver that asks four times, as it does by default, asks in vain with one request in sixty: the port is opened anew then,
-    the mirror homed, which takes so long that fewer lines must do.
+    A driver that asks into silence only twice gives up one request in some hundreds: the port is opened anew then, the mirror
+    homed, which takes so long that fewer lines must do.
     """
     observed = Observed(lines)
 

@@ -70,6 +70,63 @@ def test_a_damaged_request_is_sent_again_at_once() -> None:
     assert (counters.naks, counters.resends) == (1, 1)
 
 
+def test_a_damaged_reply_is_asked_for_again_at_once_and_nothing_is_executed_twice() -> None:
+    peer = Controller(step_s=1.0)
+    damaged = iter([[b"<7 OX 8*09EA\n"]] * 9)  # more often than it would ask into silence
+    peer.towards_host = lambda data: next(damaged, [data])
+
+    async def scenario(link: StepperLink, peer: Controller) -> None:
+        began = now_ns()
+        assert await link.request("MR 5") == ("5",)
+        assert now_ns() - began < 30_000_000
+
+    assert play(scenario, peer).counters.resends == 9
+    assert peer.executed == ["MR 5"]
+
+
+def test_replies_that_are_all_damaged_take_no_longer_than_silence() -> None:
+    peer = Controller(towards_host=lambda data: [b"<7 OX 8*09EA\n"])
+
+    async def scenario(link: StepperLink, peer: Controller) -> None:
+        began = now_ns()
+        with pytest.raises(DeviceTimeout, match=r"MR 5, waited 0.99\d* s: no answer to \d\d\d attempts"):
+            await link.request("MR 5")
+        assert now_ns() - began <= 1_000_000_000
+
+    play(scenario, peer)
+    assert peer.executed == ["MR 5"]
+
+
+def test_a_restart_in_one_breath_with_a_damaged_line_is_seen() -> None:
+    peer = Controller(step_s=1.0)
+
+    def restart(data: bytes) -> list[bytes]:
+        peer.last_seq = 0  # a retry would execute
+        return [b"<7 OX 8*09EA\n" + line("!", "0 BOOT scanhsi-stepper 1 2")]
+
+    peer.towards_host = restart
+
+    async def scenario(link: StepperLink, peer: Controller) -> None:
+        with pytest.raises(PositionLost, match="restarted"):
+            await link.request("MR 5")
+
+    play(scenario, peer)
+    assert peer.executed == ["MR 5"]
+
+
+def test_a_damaged_end_is_asked_for_at_once() -> None:
+    peer = Controller()
+    peer.towards_host = lambda data: [data.replace(b"DONE", b"DOME")]
+
+    async def scenario(link: StepperLink, peer: Controller) -> None:
+        began = now_ns()
+        finished = await run_motion(link, "MR 100", 0.1, 2.0)
+        assert (finished.reached, finished.position) == (True, 100)
+        assert now_ns() - began < 120_000_000
+
+    assert play(scenario, peer).counters.done_by_poll == 1
+
+
 def test_silence_ends_in_a_timeout_that_says_how_long() -> None:
     async def scenario(link: StepperLink, peer: Controller) -> None:
         with pytest.raises(DeviceTimeout, match=r"MR 5, waited 1 s: no answer to 4 attempts"):
