@@ -31,9 +31,7 @@ from scanhsi_stepper.protocol import (
     parse,
 )
 
-_REPLY_NS = (
-    2_000_000  # no request is understood and answered sooner: with less time left there is no use in asking again
-)
+_REPLY_NS = 2_000_000  # no request is answered sooner: with less time left there is no use in asking again
 
 
 @dataclass(slots=True)
