@@ -298,14 +298,14 @@ class BenchActuator:
         return sweep
 
     def extent(self, sweep: Sweep) -> tuple[int, int]:
-        ends = sweep.first - 40, sweep.last + sweep.every
+        ends = _before(sweep), sweep.last + sweep.every
         return min(ends), max(ends)
 
     def run_up_s(self, sweep: Sweep) -> float:
         return 0.010
 
     async def prepare_sweep(self, sweep: Sweep) -> Motion:
-        return await self.move_to(sweep.first - 40)
+        return await self.move_to(_before(sweep))
 
     async def sweep(self, sweep: Sweep) -> Motion:
         self.bench.operation()
@@ -315,10 +315,11 @@ class BenchActuator:
         for number in range(sweep.count):
             if number in self.bench.stalls:
                 passing += _ns(self.bench.stalls[number])
-            await sleep_until_ns(passing + round(number * period))
-            self.bench.position = sweep.first + number * sweep.every
-            if sweep.pulses and self.bench.on_pulse is not None:
-                self.bench.on_pulse(number)
+            for part in range(abs(sweep.every)):
+                await sleep_until_ns(passing + round((number + part / abs(sweep.every)) * period))
+                self.bench.position = sweep.first + number * sweep.every + (part if sweep.every > 0 else -part)
+                if part == 0 and sweep.pulses and self.bench.on_pulse is not None:
+                    self.bench.on_pulse(number)
         await asyncio.sleep(period * 1e-9)
         self.bench.position = sweep.last + sweep.every
         await asyncio.sleep(0.010)
@@ -328,6 +329,10 @@ class BenchActuator:
         asked = now_ns()
         await asyncio.sleep(0.002)
         return Sighting(self.bench.position, (asked + now_ns()) // 2, (now_ns() - asked) // 2)
+
+
+def _before(sweep: Sweep) -> int:
+    return sweep.first - (40 if sweep.every > 0 else -40)
 
 
 class MemorySink:

@@ -97,7 +97,8 @@ class Sweeps(Protocol):
     async def locate(self) -> Sighting:
         """Ask the controller where the mirror is; may run beside `sweep`.
 
-        The engine asks when the frames of a sweep make it doubt which line they belong to.
+        The engine asks when the frames of a sweep make it doubt which line they belong to, and beside a camera that runs free up to
+        70 times a second.
         """
         ...
 

@@ -5,6 +5,9 @@ frame numbers: every later frame would be stored one line too early. The camera'
 three quarters of a period or more after its due time. Then the actuator is asked where the mirror is, which settles it. Where that
 is past its end already, the exposures are counted: if they are as many as the pulses, none was ignored. In the end frames and lost
 pulses must make up exactly the lines of the sweep, or the scan fails rather than put pixels in the wrong place.
+
+A camera that runs free keeps a beat that knows nothing of the mirror, which begins when it begins and keeps its own time. So there
+the actuator is asked again and again where the mirror is, and a frame gets the line nearest to where its exposure began.
 """
 
 from __future__ import annotations
@@ -27,6 +30,8 @@ from scanhsi.engine.scan import Scan
 LATE = 0.75
 """Part of a period by which a frame must be late to raise the doubt that a pulse was lost."""
 _SIGHTINGS = 6
+_LOOK_EVERY_NS = 15_000_000
+"""How often the actuator is asked beside a camera that runs free; where a line takes longer, with each frame."""
 _GUARD = 0.15
 """A sighting this close to a line, in periods, could be on either side of it: look again."""
 
@@ -72,8 +77,8 @@ class Places:
         sweep: As it runs.
         first: Its first line.
         trigger: LINE counts pulses; FREE_RUN counts the camera's own beats from the moment the mirror passes the first line.
-        passing_ns: When the mirror passes the first line, as announced.
-        locate: Asks the actuator where the mirror is, in doubt.
+        passing_ns: When the mirror passes the first line at the earliest, as announced.
+        locate: Asks the actuator where the mirror is: in doubt, or with a camera that runs free.
         reach: Tells whether there are so many exposures in all, when those before another number are known.
     """
 
@@ -95,6 +100,14 @@ class Places:
         self._reach = reach
         self._previous: Frame | None = None
         self._shift = 0
+        self._look_ns = passing_ns
+
+    @property
+    def skipped(self) -> str:
+        """Why a line has no frame although the next ones have."""
+        if self._trigger is Trigger.FREE_RUN:
+            return "the mirror was past this line before the camera began its next exposure"
+        return "the camera was still busy when this line was due"
 
     @property
     def shifted(self) -> bool:
@@ -109,17 +122,46 @@ class Places:
     async def line_of(self, frame: Frame) -> int:
         """Line of a frame; less than the first for one exposed before the mirror passed that."""
         if self._trigger is Trigger.FREE_RUN:
-            if self._previous is None:
-                self._shift = round(self._late(frame))
-        elif self._stale(frame):  # its stamp tells nothing: the next one is compared with the last that did
+            return self._first + await self._nearest(frame)
+        if self._stale(frame):  # its stamp tells nothing: the next one is compared with the last that did
             seen = await self._seen(frame)
             self._shift = max(self._shift, self._shift if seen is None else seen - frame.index)
             return self._first + frame.index + self._shift
-        elif (late := self._late(frame)) > LATE:
+        if (late := self._late(frame)) > LATE:
             seen = await self._seen(frame)
             self._shift = max(self._shift, round(late) + self._shift if seen is None else seen - frame.index)
         self._previous = frame
         return self._first + frame.index + self._shift
+
+    async def _nearest(self, frame: Frame) -> int:
+        """Line of the sweep that the mirror was nearest to when the exposure began; less than 0 before it passed the first."""
+        place = frame.index + self._shift
+        if self._previous is None:
+            place += round(self._late(frame))  # at the latest: it never passes before it was to
+            if place < 0:
+                return place
+        if (asked_ns := now_ns()) >= self._look_ns:
+            self._look_ns = asked_ns + _LOOK_EVERY_NS
+            seen = await self._seen_between(frame)
+            if seen is not None and (self._previous is None or abs(seen - place) > 0.5 + 0.5 / abs(self._sweep.every)):
+                place = round(seen)
+            if seen is not None and place < 0:
+                return place  # it has still not passed: the next frame is asked for, too
+        self._shift, self._previous = place - frame.index, frame
+        return place
+
+    async def _seen_between(self, frame: Frame) -> float | None:
+        """Where between lines the mirror was as the exposure began, by where it is now; None when that cannot be told."""
+        if frame.exposure_start_ns is None:
+            return None
+        for _ in range(_SIGHTINGS):
+            seen = await self._locate()
+            passed = (seen.step - self._sweep.first) / self._sweep.every + 0.5 / abs(self._sweep.every)
+            if passed >= self._sweep.count:
+                return None  # it may stand by now
+            if seen.uncertain_ns < LATE / 2 * self._period_ns:
+                return passed - (seen.at_ns - frame.exposure_start_ns) / self._period_ns
+        return None
 
     def _stale(self, frame: Frame) -> bool:
         """Whether a camera that lost the frame's leader gave it the stamp of an earlier one."""
@@ -173,7 +215,7 @@ async def receive_sweep(scan: Scan, sweep: Sweep, events: Events, places: Places
         if place < line:
             continue
         behind_gap |= place > line
-        line = _lose(scan, range(line, min(place, end)), "the camera was still busy when this line was due")
+        line = _lose(scan, range(line, min(place, end)), places.skipped)
         if place < end:
             if behind_gap:
                 await _catch_up(scan, line, sweep)
