@@ -16,7 +16,7 @@ SLACK_S = 1.5
 
 
 async def ready(twin: Twin) -> AravisCamera:
-    device = AravisCamera(AravisOptions(address=twin.address, frame_timeout_s=0.2))
+    device = AravisCamera(AravisOptions(address=twin.address, frame_timeout_s=0.6))
     await device.connect()
     await device.configure(SMALL)
     return device
