@@ -39,8 +39,8 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 
 test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
 	# Files go to processes in the order given: those that take longest come first. Twins run in real time and wait more than they compute.
-	$(BIN)/python -m pytest -m "not soak" -n 4 --dist loadfile --no-loadscope-reorder \
-		tests/test_documentation.py tests/twins tests/service tests/testing tests
+	$(BIN)/python -m pytest -m "not soak" -n 3 --no-loadscope-reorder \
+		tests/test_documentation.py tests/twins tests/cube/object_storage tests/service tests/testing tests
 
 lint: $(VENV)/.dev $(VENV)/.gi  ## Format, lint, types, layers
 	$(BIN)/ruff format --check .

@@ -3,7 +3,7 @@
 Mark a test (or a module: ``pytestmark = pytest.mark.twin``) and write it as any other: use Aravis in the test's own
 process, fixtures and parameters included. The first marked test starts a child pytest inside a namespace, which runs one
 marked test after the other as it is told; each test's own report comes back and is shown as if it had run here. So tests may
-also be shared out among processes (``-n 2 --dist loadfile``): no two see the same network.
+also be shared out among processes (``-n 2``): no two see the same network.
 
 To debug one with --pdb or prints, start pytest itself inside: ``python -m scanhsi_sim.twins.netns python -m pytest ...``.
 What is missing (Aravis, permission) skips the tests; where the variable CI is set it fails them.
