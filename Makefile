@@ -3,7 +3,9 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := env
+ifndef SET_UP
 .NOTPARALLEL:       # sets up before it runs, also under `make -j`
+endif
 .DELETE_ON_ERROR:   # a .venv that was only half made is made again
 unexport PYTHONDONTWRITEBYTECODE  # or each of hundreds of processes compiles all modules anew
 
@@ -24,7 +26,7 @@ PACKAGES_twin := python3-gi gir1.2-aravis-0.8 gcc libc6-dev libsimavr-dev libelf
 PACKAGES_browser := chromium-headless-shell fonts-dejavu-core
 PACKAGES_test := $(PACKAGES_twin) gcc-avr avr-libc binutils-avr avrdude git openssl octave gdal-bin fuse3
 
-.PHONY: env twin scan test lint docs soak bench bench-peers bench-storage clean help
+.PHONY: env twin scan test tests lint docs soak bench bench-peers bench-storage clean help
 help:  ## List the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -37,8 +39,11 @@ scan: $(VENV)/.runtime  ## Scan a simulated hand, end to end: a cube, a picture 
 	$(BIN)/scanhsi view $(OUT)/hand.zarr -o $(OUT)/hand.png
 	@echo; echo "cube: $(OUT)/hand.zarr   picture: $(OUT)/hand.png"
 
-test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA) lint docs  ## Everything: format, lint, types, layers, documentation, all tests
-	# Files go to processes in the order given: those that take longest come first. Twins run in real time and wait more than they compute.
+test: $(VENV)/.dev system-test $(VENV)/.gi $(VENV)/.browser $(ZARRITA)  ## Everything: format, lint, types, layers, documentation, all tests
+	$(MAKE) --no-print-directory -j2 SET_UP=1 tests lint docs
+
+# Files go to processes in the order given: those that take longest come first.
+tests: $(VENV)/.dev $(VENV)/.gi
 	$(BIN)/python -m pytest -m "not soak" -n 3 --no-loadscope-reorder \
 		tests/test_documentation.py tests/twins tests/cube/object_storage tests/service tests/testing tests
 
