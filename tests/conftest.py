@@ -1,5 +1,6 @@
 """What every test may use."""
 
+import gc
 from collections.abc import Generator
 from typing import Any
 
@@ -8,6 +9,8 @@ import pytest
 from scanhsi_sim import bench
 
 pytest_plugins = ["support.namespace"]
+
+gc.disable()  # until the tests are collected: hardly anything of that is garbage
 
 ONE_SERVER = "tests/cube/object_storage/"
 """These tests share an S3 server, which takes longer to start and to end than they take."""
@@ -23,6 +26,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return ONE_SERVER if nodeid.startswith(ONE_SERVER) else nodeid.partition("::")[0]
 
     return ByFile(config, log)
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of tests, and the modules, are there to stay: the garbage collector need not look at them again and again."""
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
