@@ -72,17 +72,18 @@ def run(command: Sequence[str] | None = None, *, scene: str = "testpattern", see
 async def _run(command: Sequence[str] | None, rig: TwinRig) -> int:
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    shell = command is None and sys.stdin.isatty()
+    if shell:
+        command = [os.environ.get("SHELL", "/bin/sh")]
+    for number in (signal.SIGTERM, signal.SIGHUP, *([signal.SIGINT] if command is None else [])):
         loop.add_signal_handler(number, stop.set)
     async with rig:
         with _port_at(rig.port):
             _say(f"camera at {ADDRESS}, stepper at {PORT}, scene {rig.scene}")
-            if command is None and sys.stdin.isatty():
-                command = [os.environ.get("SHELL", "/bin/sh")]
+            if shell:
                 _say("they end with this shell")
             if command is not None:
                 return await _beside(command, rig, stop)
-            loop.add_signal_handler(signal.SIGINT, stop.set)
             await stop.wait()
     return 0
 
