@@ -5,6 +5,7 @@ import gc
 import os
 import sys
 import threading
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -13,6 +14,13 @@ from scanhsi import clock
 from scanhsi.clock import Granted, RealTime, real_time
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="SCHED_FIFO of a thread is Linux's")
+
+
+@pytest.fixture(autouse=True)
+def nothing_frozen() -> Iterator[None]:
+    gc.unfreeze()  # see conftest.py
+    yield
+    gc.freeze()
 
 
 async def _state() -> tuple[int, float]:
