@@ -233,11 +233,12 @@ def test_lost_pulses_and_a_mirror_that_falls_behind() -> None:
         assert np.all(sink.pixels[line] == 10 + line), line
 
 
+@pytest.mark.parametrize("exposure_ms", [20.0, 9.0])
 @pytest.mark.parametrize("stride", [1, 4, -4])
 @pytest.mark.parametrize("stalls", [{}, {0: 100.0}, {0: 333.0}, {4: 50.0}, {3: 30.0, 8: 40.0}], ids=str)
-def test_free_running_camera_in_a_sweep(stalls: dict[int, float], stride: int) -> None:
+def test_free_running_camera_in_a_sweep(stalls: dict[int, float], stride: int, exposure_ms: float) -> None:
     """Also where the mirror begins late or falls behind: what was exposed before it got there is dropped."""
-    bench, sink = Bench(stalls=stalls), MemorySink()
+    bench, sink = Bench(stalls=stalls, exposure_ms=exposure_ms), MemorySink()
 
     class Unwired(BenchCamera):
         shortest_trigger_period_s = None  # no hardware trigger: the engine lets it run free

@@ -98,7 +98,7 @@ class Sweeps(Protocol):
         """Ask the controller where the mirror is; may run beside `sweep`.
 
         The engine asks when the frames of a sweep make it doubt which line they belong to, and beside a camera that runs free up to
-        70 times a second.
+        67 times a second.
         """
         ...
 

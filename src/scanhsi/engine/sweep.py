@@ -137,10 +137,10 @@ class Places:
         """Line of the sweep that the mirror was nearest to when the exposure began; less than 0 before it passed the first."""
         place = frame.index + self._shift
         if self._previous is None:
-            place += round(self._late(frame))  # at the latest: it never passes before it was to
+            place += round(self._late(frame))  # no mirror is there before it was announced
             if place < 0:
                 return place
-        if (asked_ns := now_ns()) >= self._look_ns:
+        if (asked_ns := now_ns()) >= self._look_ns or self._previous is None:
             self._look_ns = asked_ns + _LOOK_EVERY_NS
             seen = await self._seen_between(frame)
             if seen is not None and (self._previous is None or abs(seen - place) > 0.5 + 0.5 / abs(self._sweep.every)):
