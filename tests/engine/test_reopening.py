@@ -36,7 +36,7 @@ class BenchLight:
     async def close(self) -> None: ...
 
     async def on(self, level: float | None = None) -> Lit:
-        raise NotImplementedError
+        raise AssertionError("opened anew, nothing is switched on")
 
     async def off(self) -> None:
         self.level = 0.0
