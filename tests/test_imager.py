@@ -12,14 +12,7 @@ from scanhsi.clock import run_virtual
 from scanhsi.devices.errors import CubeExists, DeviceBusy, OutOfRange
 from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi_sim.scenes.testpattern import decode
-
-SMALL = {
-    "roi.samples": 24,
-    "roi.bands": 16,
-    "roi.sample_offset": 1000,
-    "roi.band_offset": 500,
-    "camera.scene": "testpattern",
-}
+from support.small import SMALL
 
 
 def small() -> InstrumentConfig:

@@ -16,16 +16,10 @@ from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi.testing.faults import FaultPlan, Faults
 from scanhsi.testing.instrument import with_faults
 from scanhsi.testing.witness import Witness
+from support.small import SMALL
 
 AWAY_S = 300.0
 LINES = 20
-SMALL = {
-    "roi.samples": 24,
-    "roi.bands": 16,
-    "roi.sample_offset": 1000,
-    "roi.band_offset": 500,
-    "camera.scene": "testpattern",
-}
 UNPLUGGED = {"camera": ("camera unplugged", 8), "actuator": ("actuator unplugged", 11)}
 
 

@@ -17,16 +17,10 @@ from scanhsi.devices.errors import ConfigError, CubeError, NotACube
 from scanhsi.engine import OnFault, ScanControl
 from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi_sim.scenes.testpattern import decode
+from support.small import SMALL as PART
 
 LINES = 40
-SMALL = {
-    "roi.samples": 24,
-    "roi.bands": 16,
-    "roi.sample_offset": 1000,
-    "roi.band_offset": 500,
-    "camera.scene": "testpattern",
-    "storage.lines_per_shard": 8,
-}
+SMALL = {**PART, "storage.lines_per_shard": 8}
 
 
 def small(**changes: Any) -> InstrumentConfig:

@@ -15,14 +15,7 @@ from scanhsi.devices.errors import DeviceBusy
 from scanhsi.devices.frames import Pixels
 from scanhsi.instrument import load_instrument
 from scanhsi_sim.scenes.testpattern import decode
-
-SMALL = {
-    "roi.samples": 24,
-    "roi.bands": 16,
-    "roi.sample_offset": 1000,
-    "roi.band_offset": 500,
-    "camera.scene": "testpattern",
-}
+from support.small import SMALL
 
 
 @pytest.mark.parametrize("stored", [True, False])

@@ -15,15 +15,9 @@ from scanhsi.devices.errors import DeviceLost
 from scanhsi.engine import control
 from scanhsi.instrument import load_instrument
 from scanhsi_sim.camera import SimulatedCamera
+from support.small import SMALL as PART
 
-SMALL = {
-    "roi.samples": 24,
-    "roi.bands": 16,
-    "roi.sample_offset": 1000,
-    "roi.band_offset": 500,
-    "camera.scene": "testpattern",
-    "actuator.mirror": {"backlash_steps": 7},
-}
+SMALL = {**PART, "actuator.mirror": {"backlash_steps": 7}}
 
 
 def scan(path: Path, **plan: Any) -> scanhsi.ScanReport:

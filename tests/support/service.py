@@ -18,15 +18,9 @@ from scanhsi.instrument import InstrumentConfig, load_instrument
 from scanhsi.service.app import create_app
 from scanhsi.service.security import Security
 from scanhsi.service.station import Station, open_station
+from support.small import SMALL as PART
 
-SMALL = {
-    "roi.samples": 24,
-    "roi.bands": 16,
-    "roi.sample_offset": 1000,
-    "roi.band_offset": 500,
-    "camera.scene": "testpattern",
-    "storage.durability": "at close",
-}
+SMALL = {**PART, "storage.durability": "at close"}
 BASE = "http://localhost/api/v1"
 
 

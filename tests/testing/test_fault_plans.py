@@ -20,14 +20,7 @@ from scanhsi.testing.faulty_camera import faulty_camera
 from scanhsi.testing.faulty_storage import FaultyDestination, MemoryDestination
 from scanhsi.testing.instrument import with_faults
 from scanhsi.testing.witness import Witness
-
-SMALL = {
-    "roi.samples": 24,
-    "roi.bands": 16,
-    "roi.sample_offset": 1000,
-    "roi.band_offset": 500,
-    "camera.scene": "testpattern",
-}
+from support.small import SMALL
 
 
 def plan(*faults: Fault) -> Faults:
